@@ -22,7 +22,6 @@ COLUMNS = (
     "number", "seconds_of_week_s", "week", "north_mm", "east_mm", "down_mm", "latitude_deg", "longitude_deg",
     "height_m", "sigma_north_m", "sigma_east_m", "sigma_up_m", "flag",
 )  # fmt: skip
-_LONGEST_LINE = 1024
 EVENT_KIND = 1
 
 
@@ -39,16 +38,18 @@ class MrkFramer(Framer):
         return False
 
     def _take(self, closed: bool) -> Batch:
+        # Longer ones are no lines of a camera event list.
+        longest_line = 1024
         data = self._pending
         rows: list[tuple[int, int, int]] = []
         damage: list[tuple[int, int]] = []
         at = 0
         while at < len(data):
-            line_end = data.find(b"\n", at, at + _LONGEST_LINE)
-            if line_end < 0 and len(data) - at < _LONGEST_LINE and not closed:
+            line_end = data.find(b"\n", at, at + longest_line)
+            if line_end < 0 and len(data) - at < longest_line and not closed:
                 break
             # What is longer than any event is no text: it is passed over piece by piece.
-            end = line_end + 1 if line_end >= 0 else min(len(data), at + _LONGEST_LINE)
+            end = line_end + 1 if line_end >= 0 else min(len(data), at + longest_line)
             if parse_event(data[at:end].decode("latin-1")) is not None:
                 rows.append((at, end - at, EVENT_KIND))
             else:

@@ -31,11 +31,6 @@ from photocal.base.arrays import Flags, Integers
 STREAMS = {"mavlink": bytes((V1, V2)), "ubx": b"\xb5", "rtcm3": b"\xd3", "nmea": b"$"}
 MAVLINK, UBX, RTCM3, NMEA = range(len(STREAMS))
 NO_WIRE = 255
-# The longest message of the interface descriptions is RXM-RAWX with 255 signals, 8176 bytes. Without a bound
-# a damaged length would hold back up to 64 kB of good frames.
-UBX_LONGEST_PAYLOAD = 8192
-# The standard allows 82 characters, receivers send longer ones of their own.
-NMEA_LONGEST = 1024
 # A stamp of a telemetry log is believed from 2000 to 2100: microseconds since 1970, UTC, big-endian.
 STAMP_BYTES, EARLIEST_US, LATEST_US = 8, 946_684_800_000_000, 4_102_444_800_000_000
 # How many unknown messages are remembered: a flood of ever new ones must not fill the memory.
@@ -224,13 +219,16 @@ def _running(data: Octets, mavlink: bool, rtcm3: bool, ubx: bool, tables: Tables
 
 def _ubx(data: Octets, at: int, running: Running) -> tuple[int, int]:
     """Return length and kind of the UBX frame at a place."""
+    # The longest message of the interface descriptions is RXM-RAWX with 255 signals, 8176 bytes. Without a
+    # bound a damaged length would hold back up to 64 kB of good frames.
+    ubx_longest_payload = 8192
     room = len(data) - at
     if room > 1 and data[at + 1] != 0x62:
         return 0, 0
     if room < 6:
         return -6, 0
     payload = data[at + 4] | data[at + 5] << 8
-    if payload > UBX_LONGEST_PAYLOAD:
+    if payload > ubx_longest_payload:
         return 0, 0
     if payload + 8 > room:
         return -(payload + 8), 0
@@ -262,8 +260,10 @@ def _rtcm3(data: Octets, at: int, running: Running, tables: Tables) -> tuple[int
 
 def _nmea(data: Octets, at: int, tables: Tables) -> tuple[int, int]:
     """Return length and kind of the NMEA sentence at a place: $, address, text, *, two digits, line end."""
-    end = min(len(data), at + NMEA_LONGEST)
-    wait = -(len(data) - at + 1) if end < at + NMEA_LONGEST else 0
+    # The standard allows 82 characters, receivers send longer ones of their own.
+    nmea_longest = 1024
+    end = min(len(data), at + nmea_longest)
+    wait = -(len(data) - at + 1) if end < at + nmea_longest else 0
     stop = at + 1
     while stop < end and tables.letters[data[stop]] & (_CAPITAL | (_DIGIT if stop > at + 1 else 0)):
         stop += 1

@@ -32,9 +32,6 @@ _MEMBER = re.compile(r"([A-Za-z_]\w*)(?:\[(\d+)\])? ([A-Za-z_]\w*)")
 # Where the text begins in logged strings, without and with a tag.
 _TEXTS = {TEXT: 9, ord("C"): 11}
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
-_LONGEST_TEXT = 512
-# Within so many bytes the name of a format ends.
-_NAME_BYTES = 80
 _LONGEST_FORMAT, _LONGEST_ARRAY, _DEEPEST = 4096, 4096, 8
 YEAR_2000_US, _YEAR_2100_US = 946_684_800e6, 4_102_444_800e6
 _PUBLISHED = ("vehicle_gps_position", "sensor_gps")
@@ -187,10 +184,12 @@ class UlogFramer(RecordFramer):
     @staticmethod
     def _worded(data: bytes, body: int, kind: int, size: int) -> int:
         """Tell whether the words with which a record of variable length begins can be meant."""
+        # Within so many bytes the name of a format ends.
+        name_bytes = 80
         if kind == SUBSCRIBED:
             at, length = body + 3, size - 3
         elif kind == FORMAT:
-            at, length = body, min(size, _NAME_BYTES) if size <= _LONGEST_FORMAT else 0
+            at, length = body, min(size, name_bytes) if size <= _LONGEST_FORMAT else 0
         elif kind in _KEYED:
             at = body + _KEYED[kind] + 1
             if len(data) < at:
@@ -226,7 +225,9 @@ class UlogFramer(RecordFramer):
 
 def _text(data: bytes, at: int, end: int) -> int:
     """Tell whether a text can be meant: it has no control characters, so other records are none."""
-    if not 0 <= end - at <= _LONGEST_TEXT:
+    # No text of PX4 is longer.
+    longest_text = 512
+    if not 0 <= end - at <= longest_text:
         return NOTHING
     if len(data) < end:
         return WAIT

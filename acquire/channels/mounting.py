@@ -41,7 +41,6 @@ _VALUES: dict[str, tuple[str, tuple[tuple[str, ...], ...]]] = {
 }
 # What a recorder asks an autopilot for.
 NAMES = tuple(name for _, ways in _VALUES.values() for names in ways for name in names)
-_NEUTRAL_MODE = 1.0
 
 
 @dataclass(frozen=True)
@@ -110,6 +109,8 @@ class AutopilotMounting:
 
 def mounting_of(parameters: Mapping[str, float]) -> AutopilotMounting:
     """Return what parameters of an autopilot, by their names, tell of its mounting."""
+    # MAV_MOUNT_MODE_NEUTRAL: the mount holds its neutral angles.
+    neutral_mode = 1.0
     values = []
     for thing, (unit, ways) in _VALUES.items():
         names = next((names for names in ways if all(name in parameters for name in names)), None)
@@ -118,7 +119,7 @@ def mounting_of(parameters: Mapping[str, float]) -> AutopilotMounting:
     by_thing = {value.thing: value.values for value in values}
     x, y, z = by_thing.get(ANTENNA, (0.0, 0.0, 0.0))
     kind = by_thing.get("camera mount, type", (0.0,))[0]
-    held = kind > 0 and by_thing.get("camera mount, mode at start", (0.0,))[0] == _NEUTRAL_MODE
+    held = kind > 0 and by_thing.get("camera mount, mode at start", (0.0,))[0] == neutral_mode
     roll, pitch, yaw = by_thing.get(NEUTRAL, (0.0, 0.0, 0.0))
     return AutopilotMounting(
         tuple(values),

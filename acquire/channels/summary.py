@@ -19,8 +19,6 @@ from drivers.mavlink.dialect import Dialect
 from drivers.protocols import known_wire
 from photocal.base.arrays import Bytes, Floats, Integers
 
-_LISTED_GAPS = 20
-
 
 @dataclass
 class ClockOffset:
@@ -250,9 +248,11 @@ def _sender(source: tuple[int, int], parts: list[Bytes]) -> dict[str, int]:
 
 
 def _gaps(times: Integers) -> dict[str, Any]:
+    # The longest ones say where to look.
+    listed_gaps = 20
     steps = np.diff(times) / 1e9
     long = np.flatnonzero(steps > GAP_S)
-    worst = long[np.argsort(-steps[long], kind="stable")][:_LISTED_GAPS]
+    worst = long[np.argsort(-steps[long], kind="stable")][:listed_gaps]
     return {
         "longer_than_s": GAP_S,
         "count": len(long),

@@ -10,9 +10,6 @@ import typer
 
 from photocal.base.console import Address, answer, answered, argument, error_lines, option, write_through
 
-# A pipe takes as much at once or not at all (POSIX: PIPE_BUF).
-_PIECE = 4096
-
 if TYPE_CHECKING:
     import threading
     from collections.abc import Callable
@@ -114,10 +111,12 @@ def record(
 
 def _last_words(stream: TextIO, text: str) -> None:
     """Print what is said at the end to whoever takes it: a terminal that takes nothing is not waited for."""
+    # A pipe takes as much at once or not at all (POSIX: PIPE_BUF).
+    piece_chars = 4096
     from acquire.recording.outlet import Outlet
     from acquire.recording.recorder import LAST_WORDS_S
 
-    pieces = [text[at : at + _PIECE] for at in range(0, len(text), _PIECE)]
+    pieces = [text[at : at + piece_chars] for at in range(0, len(text), piece_chars)]
     printed: Outlet[str] = Outlet("last words", lambda piece: write_through(stream, piece), len(pieces))
     for piece in pieces:
         printed.put(piece)

@@ -13,7 +13,6 @@ FAULTS = (
     "lever_arm_axis, zoom, control_digits, missing_images, telemetry_gap, cycle_slips."
 )
 # How long after the start a flight with the clocks of now begins: the recorder is started meanwhile.
-_LEAD_S = 60
 app = application("Simulate flights: their telemetry, a whole survey with its truth, devices on ports.")
 
 
@@ -134,6 +133,8 @@ def serve(
 
     To practise with recorder and monitor: `acquire simulate serve small --now`
     """
+    # Time to simulate the beginning before it is due.
+    lead_s = 60
     import datetime as dt
     import time
 
@@ -141,13 +142,13 @@ def serve(
     from acquire.simulate.playback import FlightClock, read_flight
     from photocal.base.files import output_file
 
-    start_s = time.time() + _LEAD_S
+    start_s = time.time() + lead_s
     if now and speed != 1:
         raise ConfigurationError("clocks that run faster are not those of now", "leave --speed out, or --now")
     flight = read_flight(flown, dt.datetime.fromtimestamp(start_s, dt.UTC) if now else None)
     if now and time.time() > start_s:
         raise ConfigurationError(
-            f"took longer than {_LEAD_S} s to be flown", "practise with a smaller plan", where=flown
+            f"took longer than {lead_s} s to be flown", "practise with a smaller plan", where=flown
         )
     settings = record or (flown / "site" / "record.toml" if flown.is_dir() else Path("record.toml"))
     waits = () if at_once else awaited(flight, base_on_tcp=base_on_tcp)

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 # So long after a trigger its feedback may come: shutters need tenths of a second. What a slow radio brings
 # later is taken back from the missed ones.
 GRACE_NS = 700_000_000
-_MOST_PENDING = 1000
 
 
 @dataclass(frozen=True)
@@ -47,6 +46,8 @@ class CountedPictures:
 
 def triggered(counted: CountedPictures, trigger: Trigger) -> CountedPictures:
     """Take note of a trigger; one that is told again counts once."""
+    # What waits for an answer is kept up to this number.
+    most_pending = 1000
     last = counted.last_trigger
     if last == trigger.number:
         return counted
@@ -56,7 +57,7 @@ def triggered(counted: CountedPictures, trigger: Trigger) -> CountedPictures:
     return replace(
         counted,
         triggers=counted.triggers + 1,
-        pending=(*counted.pending, trigger)[-_MOST_PENDING:],
+        pending=(*counted.pending, trigger)[-most_pending:],
         last_trigger=trigger.number,
     )
 

@@ -23,9 +23,6 @@ _FILES = {
     "/monitor.css": "monitor.css",
     **{f"/{name}.js": f"{name}.js" for name in _SCRIPTS},
 }
-# Seven decimals of a degree are a centimetre.
-_DECIMALS = 7
-_LONGEST_REQUEST = 20
 # Findings of a debrief that ask nothing of the crew.
 _PASSED = ("passed", "untested", "note")
 
@@ -111,6 +108,8 @@ class Latest:
 
 def application(latest: Latest) -> Starlette:
     """Return the page, its files and its feed."""
+    # A request holds one number, no more.
+    longest_request = 20
 
     async def feed(_: Request) -> StreamingResponse:
         """Server-sent events of what the monitor knows."""
@@ -121,7 +120,7 @@ def application(latest: Latest) -> Starlette:
         body = b""
         async for piece in request.stream():
             body += piece
-            if len(body) > _LONGEST_REQUEST:
+            if len(body) > longest_request:
                 return Response(status_code=413)
         if not body.isdigit():
             return Response(status_code=400)
@@ -151,13 +150,15 @@ async def _events(latest: Latest) -> AsyncIterator[str]:
 
 
 def _news(shown: Sequence[MapLayer], drawn: dict[tuple[str, str], tuple[str, int]]) -> list[dict[str, Any]]:
+    # Seven decimals of a degree are a centimetre.
+    decimals = 7
     news = []
     for layer in shown:
         key = (layer.kind, layer.name)
         edition, count = drawn.get(key, ("", 0))
         start = count if edition == layer.edition else 0
         drawn[key] = (layer.edition, len(layer.points))
-        points = layer.points[start:].round(_DECIMALS).tolist()
+        points = layer.points[start:].round(decimals).tolist()
         news.append(
             {"kind": layer.kind, "name": layer.name, "from": start, "points": points, "labels": layer.labels}
         )

@@ -13,7 +13,6 @@ from drivers.mavlink.decode import GROUND_STATION, NO_AUTOPILOT
 from photocal.base.arrays import Floats, Integers
 
 LONGEST = 4000
-_METRES_PER_DEG = 111_195.0  # mean sphere: only a threshold hangs on it
 
 
 @dataclass(frozen=True)
@@ -32,12 +31,13 @@ class Track:
 
 def extended(track: Track, points: Floats, times_ns: Integers) -> Track:
     """Add points."""
+    metres_per_deg = 111_195.0  # mean sphere: only a threshold hangs on it
     if not len(points):
         return track
     # Points that lie closer to the last one show nothing new.
     step_m = 0.5
     least_m2 = (step_m * 2**track.thinned) ** 2
-    per_degree = np.array([_METRES_PER_DEG, _METRES_PER_DEG * np.cos(np.radians(points[0, 0]))])
+    per_degree = np.array([metres_per_deg, metres_per_deg * np.cos(np.radians(points[0, 0]))])
     metres = (points * per_degree).tolist()
     last = (track.points[-1] * per_degree).tolist() if len(track.points) else [np.inf, np.inf]
     new = []
@@ -66,7 +66,6 @@ def place_at(track: Track, time_ns: int) -> tuple[float, float] | None:
 
 
 _HEARTBEAT, _POSITION = 0, 33
-_ARMED = 0x80
 
 
 @dataclass(frozen=True)
@@ -91,6 +90,8 @@ class VehicleState:
 
 def vehicle_after(vehicle: VehicleState | None, part: LoggedMessages) -> VehicleState | None:
     """Return the vehicle after frames of its link: of each message the last one counts."""
+    # MAV_MODE_FLAG_SAFETY_ARMED.
+    armed_bit = 0x80
     wanted = {_HEARTBEAT, _POSITION}
     v2 = 0xFD
     # What MAVLink says of a heading that is not known.
@@ -112,7 +113,7 @@ def vehicle_after(vehicle: VehicleState | None, part: LoggedMessages) -> Vehicle
         else:
             from pymavlink import mavutil
 
-            mode, armed = str(mavutil.mode_string_v10(message)), bool(message.base_mode & _ARMED)
+            mode, armed = str(mavutil.mode_string_v10(message)), bool(message.base_mode & armed_bit)
             if mode.startswith("Mode("):
                 # A number that ground stations have no name for.
                 mode = f"mode {message.custom_mode}"

@@ -20,14 +20,16 @@ from photocal.base.geodesy import enu_offsets
 
 # Dots of a Braille cell by column and row (Unicode 15, chapter 21.1).
 _DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
-_BLANK = 0x2800
 _BRAILLE_SIGNS = {"missed": ("✕", "bold red"), "station": ("▲", "green")}
 _TRACK, _PICTURE, _HERE = "blue", "bold", "bold blue"
-_LEAST_EXTENT_M = 20.0
 
 
 def braille_map(layers: Sequence[MapLayer], width: int, height: int) -> Text:
     """Draw layers, north up."""
+    # The Braille cell without dots.
+    blank = 0x2800
+    # A vehicle that stands is not blown up to fill the map.
+    least_extent_m = 20.0
     rows = height - 1
     drawn = [layer for layer in layers if len(layer.points)]
     if not drawn or width < 8 or rows < 2:
@@ -35,7 +37,7 @@ def braille_map(layers: Sequence[MapLayer], width: int, height: int) -> Text:
     shown = [layer for layer in drawn if layer.kind != "station"] or drawn
     places = metres(np.concatenate([layer.points for layer in shown]), drawn[0].points[0])
     low, high = places.min(axis=0), places.max(axis=0)
-    extent = np.maximum(high - low, _LEAST_EXTENT_M)
+    extent = np.maximum(high - low, least_extent_m)
     dots_per_m = min((2 * width - 3) / extent[0], (4 * rows - 3) / extent[1])
     middle = (low + high) / 2
 
@@ -44,7 +46,7 @@ def braille_map(layers: Sequence[MapLayer], width: int, height: int) -> Text:
         away = (metres(layer.points, drawn[0].points[0]) - middle) * dots_per_m
         return np.column_stack([width - 0.5 + away[:, 0], 2 * rows - 0.5 - away[:, 1]])
 
-    cells = np.full((rows, width), _BLANK, np.int64)
+    cells = np.full((rows, width), blank, np.int64)
     styles: dict[tuple[int, int], str] = {}
     signs: dict[tuple[int, int], tuple[str, str]] = {}
     for layer in drawn:
@@ -63,7 +65,7 @@ def braille_map(layers: Sequence[MapLayer], width: int, height: int) -> Text:
         for column in range(width):
             key = (row, column)
             sign, style = signs.get(key, (chr(cells[row, column]), styles.get(key, "")))
-            text.append(" " if sign == chr(_BLANK) else sign, style)
+            text.append(" " if sign == chr(blank) else sign, style)
         text.append("\n")
     return text.append(_scale_bar(width, dots_per_m))
 
@@ -114,7 +116,6 @@ _STYLES = {"good": "bold green", "warn": "bold black on yellow", "bad": "bold wh
 # What has been is quieter than what is.
 _PAST = {"warn": "yellow", "bad": "bold red"}
 _LEAST_WITH_MAP, _MAP_SHARE, _LEAST_MAP = 76, 0.27, 20
-_LONGEST_NAME = 12
 
 
 def render(view: PageView, layers: Sequence[MapLayer], width: int, height: int) -> RenderableType:
@@ -136,9 +137,11 @@ def render(view: PageView, layers: Sequence[MapLayer], width: int, height: int) 
 
 def _sections(view: PageView, width: int) -> list[RenderableType]:
     """Return headings and lines, each one line high."""
+    # Longer names are cut, so that the figures keep their place.
+    longest_name = 12
     sections: list[RenderableType] = []
     names = [row.name for row in view.receivers] + [row.name for row in view.links]
-    wide = min(max(map(len, ["disk", *names])), _LONGEST_NAME)
+    wide = min(max(map(len, ["disk", *names])), longest_name)
     groups: dict[str, Sequence[str | Text]] = {
         "fix": [_receiver(row, wide) for row in view.receivers] or ["no receiver has spoken yet"],
         "pictures": [_camera(row, wide) for row in view.cameras] or ["no view yet"],

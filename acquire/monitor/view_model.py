@@ -85,14 +85,10 @@ def _shown_tracks(state: RecordingState) -> dict[str, str]:
 SCHEMA = "acquire.monitor/1"
 # From so much silence of a link or a receiver on it is said.
 _SILENT_S, _STALE_S = 3.0, 5.0
-# A receiver's message comes some tenths of a second after its time; more is a wrong clock.
-_CLOCK_LIMIT_S = 1.0
 _GB = 1e9
 _LITTLE_ROOM, _NO_ROOM = (2 * _GB, 2.0), (0.5 * _GB, 0.5)
-_UNHEARD_TRIGGERS = 3
 # What remains of a battery, percent: time to come home, and time to land.
 _LOW, _EMPTY = 30, 15
-_LISTED_MISSED = 4
 
 
 @dataclass(frozen=True)
@@ -352,6 +348,8 @@ def _correction(age_s: float | None) -> Word:
 
 
 def _camera(name: str, state: RecordingState) -> CameraRow:
+    # One or two answers may still be on their way.
+    unheard_triggers = 3
     counted = state.exposures.get(name, CountedPictures())
     marks = state.marks.get(name, CountedPictures())
     missed, untold = numbers(counted.unreported), numbers(marks.unreported)
@@ -366,7 +364,7 @@ def _camera(name: str, state: RecordingState) -> CameraRow:
         word = Word("all reported", "good")
     elif counted.triggers:
         # A camera without feedback is no failure, but nobody knows whether it takes pictures.
-        word = Word("no feedback so far", "warn" if counted.triggers >= _UNHEARD_TRIGGERS else "good")
+        word = Word("no feedback so far", "warn" if counted.triggers >= unheard_triggers else "good")
     else:
         word = Word("all time marks received", "good")
     return CameraRow(
@@ -382,8 +380,10 @@ def _camera(name: str, state: RecordingState) -> CameraRow:
 
 
 def _shortened(missed: str) -> str:
+    # As many as a line of the page holds.
+    listed_missed = 4
     parts = missed.split(", ")
-    return missed if len(parts) <= _LISTED_MISSED else "…, " + ", ".join(parts[-_LISTED_MISSED:])
+    return missed if len(parts) <= listed_missed else "…, " + ", ".join(parts[-listed_missed:])
 
 
 def _mode(vehicle: VehicleState, now_ns: int) -> Word:
@@ -408,7 +408,9 @@ def _battery(name: str, battery: Battery, now_ns: int) -> BatteryRow:
 
 
 def _clock(name: str, offset_s: float) -> ClockRow:
-    good = abs(offset_s) <= _CLOCK_LIMIT_S
+    # A receiver's message comes some tenths of a second after its time; more is a wrong clock.
+    clock_limit_s = 1.0
+    good = abs(offset_s) <= clock_limit_s
     word = Word(f"in step ({offset_s:+.2f} s)", "good") if good else Word(f"off by {offset_s:+.1f} s", "bad")
     return ClockRow(name, word, offset_s)
 

@@ -16,7 +16,6 @@ from drivers.ubx.decode import decode as decode_ubx
 _GGA = nmea.kind_of(b"GPGGA")
 # Quality of GGA by the kind of fix of GPS_RAW_INT.
 _QUALITY = {2: 1, 3: 1, 4: 2, 5: 5, 6: 4}
-_UNKNOWN_16 = 65535
 # Casters refuse a sentence without satellites: of a position that a person gave these are said.
 _QUALITY_GIVEN, _SATELLITES_GIVEN, _DILUTION_GIVEN = 1, 10, 1.0
 
@@ -88,6 +87,8 @@ class CasterPosition:
         return lambda clock_ns: nmea.gga(clock_ns, *place, quality, *seen)
 
     def _of_vehicle(self, batch: Batch) -> Sentence | None:
+        # MAVLink: the largest number of 16 bits says that it is not known.
+        unknown_16 = 65535
         fields = decode(batch, self.dialect.number("GPS_RAW_INT"), self.dialect).fields
         good = np.flatnonzero(fields["fix_type"] >= 2)
         if not len(good):
@@ -95,7 +96,7 @@ class CasterPosition:
         f = fields[good[-1]]
         place = float(f["lat"]) * 1e-7, float(f["lon"]) * 1e-7, float(f["alt"]) * 1e-3
         quality = _QUALITY.get(int(f["fix_type"]), 1)
-        dilution = float(f["eph"]) * 0.01 if f["eph"] != _UNKNOWN_16 else _DILUTION_GIVEN
+        dilution = float(f["eph"]) * 0.01 if f["eph"] != unknown_16 else _DILUTION_GIVEN
         seen = int(f["satellites_visible"]), float(dilution)
         return lambda clock_ns: nmea.gga(clock_ns, *place, quality, *seen)
 

@@ -19,9 +19,6 @@ from photocal.base.errors import ConfigurationError
 
 # What may wait for a device; what has waited for longer (an old correction, a late answer) does harm.
 MOST_FRAMES, LONGEST_S = 64, 2.0
-_MOST_TURNS = 64
-_TURN_EVERY_S = 0.1
-_TOLD_EVERY_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -57,6 +54,8 @@ class DeviceLine:
         clock_ns: Callable[[], int],
         steady_s: Callable[[], float],
     ) -> None:
+        # Messages that wait for the thread of this link.
+        most_turns = 64
         # Where this link's device is told to be, and who wants to know where this link's device is.
         self.position: CasterPosition | None = None
         self.asked_for_position: list[CasterPosition] = []
@@ -74,7 +73,7 @@ class DeviceLine:
             f"{link.name} port", self._write, MOST_FRAMES, LONGEST_S
         )
         self._talk: Outlet[Batch | _Correction | None] = Outlet(
-            f"{link.name} talk", self._consider, _MOST_TURNS, LONGEST_S
+            f"{link.name} talk", self._consider, most_turns, LONGEST_S
         )
         self._turn_due_s = self._tell_due_s = -math.inf
         self._sent: deque[Sent] = deque()
@@ -83,10 +82,12 @@ class DeviceLine:
 
     def hear(self, batch: Batch | None, steady_s: float) -> None:
         """Go on with the conversation: the device has said this, or nothing by now."""
+        # A dialogue waits for seconds: ten turns a second are enough.
+        turn_every_s = 0.1
         concerned = self._dialogue is not None or self.position is not None
         heard = batch is not None and len(batch) > 0 and (concerned or bool(self.asked_for_position))
         if heard or (concerned and steady_s >= self._turn_due_s):
-            self._turn_due_s = steady_s + _TURN_EVERY_S
+            self._turn_due_s = steady_s + turn_every_s
             self._talk.put(batch if heard else None)
 
     def correct(self, kind: int, frame: bytes) -> None:
@@ -102,13 +103,15 @@ class DeviceLine:
 
     def alarms(self, steady_s: float) -> list[Alarm]:
         """Return what is to be told since the last call; at an infinite time the last figures, too."""
+        # What was dropped is said this often at the most.
+        told_every_s = 10.0
         said = [self._said.popleft() for _ in range(len(self._said))]
         unsent = self._port.dropped + self._port.failed + self.skipped
         state = unsent, self._talk.dropped, self._talk.failed
         if state == self._told or steady_s < self._tell_due_s:
             return said
         before, self._told = self._told, state
-        self._tell_due_s = steady_s + _TOLD_EVERY_S
+        self._tell_due_s = steady_s + told_every_s
         texts = [
             f"does not take what it is sent: {unsent} frames (corrections, answers) refused or too old so far"
             + (f" ({self._port.failure})" if self._port.failure else ""),

@@ -24,7 +24,6 @@ from photocal.base.operating_system import available_memory
 # What is held in memory while no disk takes anything (no more than a quarter of what is free), and how often
 # it is tried again.
 HELD_BYTES = 256 << 20
-TRY_AGAIN_S = 5.0
 # A flush that takes longer than this is told; after the second time recording goes on in the next folder.
 SLOW_S, HUNG_S, SLOW_TOLD_S = 1.0, 8.0, 10.0
 # How long a stop waits for a disk, and for one that was left because it fails or hangs.
@@ -354,6 +353,8 @@ class LogFiles:
 
         doubtful: whether the disk may not have what was written since the last flush that it has confirmed.
         """
+        # A disk that is full or away is tried again after this.
+        try_again_s = 5.0
         reason = failure.strerror or str(failure)
         full = self.paths[-1]
         left, self._file = self._file, None
@@ -379,7 +380,7 @@ class LogFiles:
                 what = f"{full} cannot be written any more ({reason})"
                 told = [("disk_full", f"{what}, recording goes on in {following.path}")]
             return [*told, *self._write()]
-        self._again_s = self._steady_s() + TRY_AGAIN_S
+        self._again_s = self._steady_s() + try_again_s
         if waited:
             return []
         text = f"no place can be written ({reason}): make room now, what comes is held in memory"

@@ -25,9 +25,6 @@ from drivers.protocols import wires_of
 from drivers.ubx.decode import NAV_PVT, RXM_RAWX
 from photocal.base.console import Check
 
-# A receiver's message comes some tenths of a second after its time; more is a wrong clock.
-_CLOCK_LIMIT_S = 1.0
-_LEAST_RATE = 0.8
 _NOT_IN_SPACE = ("none", "time_only", "dead_reckoning", "2d")
 # What a receiver sends once for each solution; the other messages come when there is something to tell.
 _PERIODIC = {"NAV-PVT": NAV_PVT, "RXM-RAWX": RXM_RAWX}
@@ -119,6 +116,10 @@ def _hear(heard: _Heard, link: str, batch: Batch, time_ns: int, decoder: Decoder
 
 
 def _judge(link: LinkConfiguration, heard: _Heard, seconds: float) -> list[Check]:
+    # A receiver's message comes some tenths of a second after its time; more is a wrong clock.
+    clock_limit_s = 1.0
+    # Short of the wanted rate by more is a wrong setting, no jitter.
+    least_rate = 0.8
     name = link.name
     if heard.event and not heard.frames:
         return [Check(f"{name}: port", "bad", heard.event)]
@@ -140,13 +141,13 @@ def _judge(link: LinkConfiguration, heard: _Heard, seconds: float) -> list[Check
         rates_hz |= dict.fromkeys(periodic, 1000 / link.ublox.rate_ms)
     for message, wanted in rates_hz.items():
         rate = heard.counts[message] / seconds
-        good = rate >= _LEAST_RATE * wanted
+        good = rate >= least_rate * wanted
         checks.append(_check(f"{name}: rate of {message}", good, f"{rate:.1f} of {wanted:g} Hz"))
     if heard.fix or link.protocol == "mavlink" or link.ublox is not None:
         checks.append(_check(f"{name}: fix", heard.fix_good, heard.fix or "none reported"))
     if heard.host_minus_device_s is not None:
         offset = heard.host_minus_device_s
-        good = abs(offset) <= _CLOCK_LIMIT_S
+        good = abs(offset) <= clock_limit_s
         checks.append(_check(f"{name}: clock", good, f"this computer {offset:+.2f} s against the device"))
     return checks
 

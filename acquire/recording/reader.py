@@ -16,7 +16,6 @@ MOST_BYTES_S, MOST_AT_ONCE = 4_000_000, 4 << 20
 # What may wait for being framed, and what each arrival takes of it besides its bytes. More comes only where
 # the computer is too slow for what arrives.
 MOST_WAITING, PER_ARRIVAL = 16 << 20, 256
-_POLL_S = 0.05
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 5.0
 # What a port holds when the recording is stopped belongs to the flight; to read it takes no longer.
 _LAST_POLL_S, _LAST_S = 0.001, 0.3
@@ -150,6 +149,8 @@ def left_behind(readers: list[threading.Thread], patience_s: float) -> list[str]
 
 def read_link(source: Source, inbox: Inbox, stop: threading.Event) -> None:
     """Read a link until told to stop, and then what has arrived by then; to be run in a thread of its own."""
+    # How often a port is asked for bytes, and whether to stop.
+    poll_s = 0.05
     pause = _FIRST_PAUSE_S
     lost = False
     moves = Moves(inbox)
@@ -160,7 +161,7 @@ def read_link(source: Source, inbox: Inbox, stop: threading.Event) -> None:
                 inbox.tell("back", "is back")
             lost = False
             while not stop.is_set():
-                if _read(source, inbox, _POLL_S, stop):
+                if _read(source, inbox, poll_s, stop):
                     pause = _FIRST_PAUSE_S
                 moves.look(source.peer, time.monotonic())
             until = time.monotonic() + _LAST_S

@@ -40,14 +40,8 @@ from photocal.base.version import __version__
 CHUNK_BYTES = 1 << 20
 # How much of a link is framed before it is the turn of the next.
 BUDGET_BYTES = 1 << 17
-GATHER_S = 0.02
-# How long a stop may wait for ports that hang, and for what waits for being framed.
-_PATIENCE_S = 0.6
-_LOOK_AT_DISK_EVERY_S = 5.0
 # How long the last words may take: a terminal that is paused takes none.
 LAST_WORDS_S = 0.15
-# Alarms that are kept for the figures at the end; the log has all.
-_MOST_ALARMS = 2000
 _MB = 1_000_000
 
 
@@ -95,6 +89,10 @@ def record(
     raises ConfigurationError: when an address cannot be meant.
     raises InputNotFoundError: when a file to be attached cannot be read.
     """
+    # Where nothing waits, bytes gather for this long: fewer, larger writes.
+    gather_s = 0.02
+    # How long a stop may wait for ports that hang, and for what waits for being framed.
+    limit_s = 0.6
     host = host or Host()
     dialect = ardupilotmega()
     positions = caster_positions(configuration, dialect)
@@ -129,14 +127,14 @@ def record(
     try:
         while not stop.is_set():
             # Many small arrivals are framed together: that is what makes high rates cheap.
-            stop.wait(0.0 if flight.step(inboxes) else GATHER_S)
-        for name in left_behind(readers, _PATIENCE_S / 2):
+            stop.wait(0.0 if flight.step(inboxes) else gather_s)
+        for name in left_behind(readers, limit_s / 2):
             tell(f"{name} hangs and was left behind")
         # What arrived between the order to stop and the end of the readers belongs to the flight, too.
-        flight.close(inboxes, _PATIENCE_S)
+        flight.close(inboxes, limit_s)
     except BaseException:
         stop.set()
-        left_behind(readers, _PATIENCE_S / 2)
+        left_behind(readers, limit_s / 2)
         lines.close(LAST_WORDS_S)
         raise
     lines.close(LAST_WORDS_S)
@@ -184,8 +182,10 @@ class _Flight:
         host: Host,
         tell: Callable[[str], None],
     ) -> None:
+        # Alarms that are kept for the figures at the end; the log has all.
+        most_alarms = 2000
         self.sessions = sessions
-        self.alarms: deque[Alarm] = deque(maxlen=_MOST_ALARMS)
+        self.alarms: deque[Alarm] = deque(maxlen=most_alarms)
         self._recording = configuration.recording
         self._files = files
         self._host = host
@@ -280,8 +280,10 @@ class _Flight:
         self._free_mb = self._host.free_bytes(folder) / _MB
 
     def _disk(self, now: float) -> list[Alarm]:
+        # Free space changes slowly.
+        look_at_disk_every_s = 5.0
         if now >= self._disk_at:
-            self._disk_at = now + _LOOK_AT_DISK_EVERY_S
+            self._disk_at = now + look_at_disk_every_s
             self._looks.put(self._files.paths[-1].parent)
         free_mb, self._free_mb = self._free_mb, None
         if free_mb is None:

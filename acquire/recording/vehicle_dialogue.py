@@ -13,7 +13,6 @@ from drivers.mavlink.dialect import Dialect
 # the same reason no heartbeat is sent.
 SYSTEM, COMPONENT = 245, 191
 SET_MESSAGE_INTERVAL = 511
-_ACCEPTED = 0
 _PATIENCE_S, _ATTEMPTS = 1.0, 4
 # Parameters are asked for one by one: a slow radio has room for each. Those it lacks are not answered.
 _PARAMETER_EVERY_S, _PARAMETER_ROUNDS = 0.1, 2
@@ -139,6 +138,8 @@ class VehicleDialogue:
         return [self.frame("PARAM_REQUEST_READ", {**values, "param_id": name.encode()})]
 
     def _take_answers(self, batch: Batch, notes: list[str], alarms: list[str]) -> None:
+        # MAV_RESULT_ACCEPTED.
+        accepted = 0
         if self._target is None:
             return
         answers = decode(batch, self._dialect.number("COMMAND_ACK"), self._dialect)
@@ -146,7 +147,7 @@ class VehicleDialogue:
         for command, result in zip(fields["command"].tolist(), fields["result"].tolist(), strict=True):
             if command != SET_MESSAGE_INTERVAL or not self._open or not self._attempts:
                 continue
-            if result == _ACCEPTED:
+            if result == accepted:
                 name, rate = self._open.pop(0)
                 self._attempts = 0
                 notes.append(f"sends {name} at {rate:g} Hz")

@@ -6,7 +6,6 @@ They read and write with pymavlink and pyubx2, so that what we send is judged by
 from collections.abc import Collection, Mapping
 from typing import Any
 
-SET_MESSAGE_INTERVAL = 511
 ACCEPTED, UNSUPPORTED, FAILED = 0, 3, 4
 PARAMETERS = {"SYSID_THISMAV": 1.0, "CAM1_TYPE": 1.0, "GPS_TYPE": 1.0}
 _QUADROTOR, _ARDUPILOT, _STANDBY = 2, 3, 3
@@ -54,7 +53,9 @@ class Autopilot:
         return []
 
     def _outcome(self, command: Any) -> int:
-        if command.command != SET_MESSAGE_INTERVAL:
+        # MAV_CMD_SET_MESSAGE_INTERVAL.
+        set_message_interval = 511
+        if command.command != set_message_interval:
             return UNSUPPORTED
         if int(command.param1) not in self._offered():
             return FAILED

@@ -16,7 +16,6 @@ from acquire.simulate.world.block_folder import toml_text
 from photocal.base.operating_system import pseudo_terminal
 
 _TICK_S = 0.005
-_DATAGRAM_BYTES = 8192
 HOST = "127.0.0.1"
 SPOKEN_TO = ("vehicle", "rover", "base")
 
@@ -36,14 +35,16 @@ class Device(Protocol):
 @contextmanager
 def on_udp(device: Device, host: str, port: int) -> Iterator[None]:
     """Let a device speak to a UDP port, each answer in a datagram of its own."""
+    # More would be cut into fragments on the way.
+    datagram_bytes = 8192
     line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     line.bind(("127.0.0.1", 0))
 
     def send(data: bytes, _stop: threading.Event) -> None:
         """Hand bytes to the line; what nobody takes is lost."""
         with contextlib.suppress(OSError):
-            for at in range(0, len(data), _DATAGRAM_BYTES):
-                line.sendto(data[at : at + _DATAGRAM_BYTES], (host, port))
+            for at in range(0, len(data), datagram_bytes):
+                line.sendto(data[at : at + datagram_bytes], (host, port))
 
     with line, _serving(device, line.fileno(), line.recv, send):
         yield

@@ -23,7 +23,6 @@ Result = TypeVar("Result")
 
 _AGENT = "NTRIP photocal"
 _LONGEST_HEAD = 1 << 16
-_LONGEST_CHUNK_LINE = 64
 _CHUNK_SIZE = re.compile(rb"([0-9A-Fa-f]{1,8})[ \t]*(?:;.*)?")
 
 
@@ -157,6 +156,8 @@ class _Body:
 
     def take(self, data: bytes) -> bytes:
         """Return the data of received bytes, without the frames of chunks."""
+        # A length in hexadecimal figures and an extension that nobody sends.
+        longest_chunk_line = 64
         if not self._chunked:
             return data
         data = self._pending + data
@@ -169,8 +170,8 @@ class _Body:
                 skipped = min(self._left, len(data) - at)
                 at, self._left = at + skipped, self._left - skipped
             else:
-                end = data.find(b"\r\n", at, at + _LONGEST_CHUNK_LINE)
-                if end < 0 and len(data) - at < _LONGEST_CHUNK_LINE:
+                end = data.find(b"\r\n", at, at + longest_chunk_line)
+                if end < 0 and len(data) - at < longest_chunk_line:
                     break
                 size = _CHUNK_SIZE.fullmatch(data, at, max(end, at))
                 if size is None:

@@ -10,8 +10,8 @@ from photocal.accuracy import classes, statistics
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN, Discrepancies
 from photocal.accuracy.standard import LimitTable, Question, ScaleStandard, Standard, ValueStandard, size_text
 from photocal.accuracy.statistics import PROBABLE_ERROR, LengthStatistics
-from photocal.base import policy
 from photocal.base.errors import ConfigurationError
+from photocal.base.policy import policy
 from photocal.findings.finding import Figure, Finding
 
 # The side on which a product lies, and what puts it there: the mean positive, and negative.
@@ -227,8 +227,8 @@ def _sample_sizes(components: tuple[ComponentResult, ...]) -> list[Finding]:
         which = ", ".join(names)
         if n == 1:
             listed.append(Finding("single-check-point", "note", which))
-        elif n < policy.SMALL_SAMPLE:
-            low, high = statistics.std_interval_factors(n, policy.CONFIDENCE)
+        elif n < policy.small_sample:
+            low, high = statistics.std_interval_factors(n, policy.confidence)
             listed.append(Finding("small-sample", "note", which, {"n": float(n), "low": low, "high": high}))
     return listed
 

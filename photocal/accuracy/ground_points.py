@@ -18,7 +18,6 @@ from photocal.findings.finding import Figure, Finding
 FOOT_M = 0.3048
 # A flight lies within this distance of its control, and one wrong UTM zone is some 600 km away.
 _NEAR_M = 50_000.0
-_NOWHERE_M = 2.0e7
 
 
 @dataclass(frozen=True)
@@ -165,7 +164,9 @@ def _zone(zone: int, southern: bool) -> str:
 
 def _kilometres(distance_m: float) -> float:
     """Half way round the earth is far enough for what is nowhere."""
-    return min(distance_m, _NOWHERE_M) / 1000.0
+    # Half the way round the earth: nothing is farther apart.
+    nowhere_m = 2.0e7
+    return min(distance_m, nowhere_m) / 1000.0
 
 
 def _distance_ratio(a: Floats, b: Floats) -> float | None:

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats
+from photocal.base.policy import policy
 from photocal.findings.finding import Finding, untested
 
 CODE = "laser-heights"
@@ -56,7 +56,7 @@ class LaserCheck:
     @property
     def biased(self) -> bool:
         """Whether the surface lies beside the laser by more than both explain."""
-        return abs(self.bias_m) > policy.TIMES_999 * self.sigma_m
+        return abs(self.bias_m) > policy.times_999 * self.sigma_m
 
 
 def check_laser(shots: LaserShots, points: Floats, c_share: float = 0.0) -> LaserCheck | None:
@@ -118,7 +118,7 @@ def _robust(design: Floats, values: Floats, sigma: Floats) -> tuple[Floats, Floa
     factor = 1.0
     for _ in range(50):
         share = (values - design @ estimates) / sigma
-        factor = max(policy.MAD_TO_SIGMA * float(np.median(np.abs(share - np.median(share)))), 1e-6)
+        factor = max(policy.mad_to_sigma * float(np.median(np.abs(share - np.median(share)))), 1e-6)
         weight = np.minimum(1.0, _HUBER * factor / np.maximum(np.abs(share), 1e-12)) / sigma**2
         normal = design.T @ (design * weight[:, None])
         step = np.linalg.solve(normal, design.T @ (weight * (values - design @ estimates)))
@@ -126,7 +126,7 @@ def _robust(design: Floats, values: Floats, sigma: Floats) -> tuple[Floats, Floa
         if np.abs(step).max() < 1e-9:
             break
     rest = values - design @ estimates
-    spread = policy.MAD_TO_SIGMA * float(np.median(np.abs(rest)))
+    spread = policy.mad_to_sigma * float(np.median(np.abs(rest)))
     # Efficiency of Huber's weights with normal errors.
     deviation = max(factor, 1.0) * np.sqrt(np.diag(np.linalg.inv(normal))) * 1.05
     return estimates, deviation, spread, np.abs(rest / sigma) > _ELSEWHERE * max(factor, 1.0)

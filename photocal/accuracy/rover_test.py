@@ -20,8 +20,6 @@ from photocal.block.table import read_table
 
 SCHEMA = "photocal.rover-test/1"
 SERIES, SETS, POINTS = 3, 5, 2
-# Bounds of a deviation from the known figure, in standard deviations of a difference of two points.
-_LIMIT = 2.5
 _CONFIDENCE = 0.95
 
 
@@ -129,6 +127,8 @@ def rover_test(
     earlier_m: those of an earlier full test.
     raises ConfigurationError: for sets that are no test, or sigmas that cannot be.
     """
+    # Bounds of a deviation from the known figure, in standard deviations of a difference of two points.
+    limit_factor = 2.5
     if not (sigma_xy_m > 0.0 and sigma_h_m > 0.0 and distance_m > 0.0):
         raise ConfigurationError("distance and standard deviations must be positive", "give them in metres")
     counts = [sets.series.count(name) for name in dict.fromkeys(sets.series)]
@@ -146,7 +146,7 @@ def rover_test(
         freedom = (SERIES * SETS - 1) * POINTS
         s = np.sqrt(((sets.xyz - mean) ** 2).sum(axis=(0, 1)) / freedom)
     s_xy, s_h = float(np.hypot(s[0], s[1])), float(s[2])
-    limits = _LIMIT * math.sqrt(2.0) * sigma_xy_m, _LIMIT * math.sqrt(2.0) * sigma_h_m
+    limits = limit_factor * math.sqrt(2.0) * sigma_xy_m, limit_factor * math.sqrt(2.0) * sigma_h_m
     apart = sets.xyz[:, 1] - sets.xyz[:, 0]
     deviations = tuple(
         Deviation(series, name, far, high, abs(far) <= limits[0] and abs(high) <= limits[1])

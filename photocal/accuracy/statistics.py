@@ -8,13 +8,10 @@ import numpy as np
 from scipy import special
 from scipy.optimize import brentq
 
-from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError
+from photocal.base.policy import policy
 
-# Directions over half a turn; the integrand is smooth and periodic, so the rectangle rule converges
-# exponentially and this many suffice for axis ratios down to about 1:100.
-_DIRECTIONS = 2048
 # The approximation of Royston 1995 (AS R94) holds for these numbers of points.
 SHAPIRO_WILK_SAMPLES = range(3, 5001)
 # Its polynomials: weights of the two outer points; mean and logarithm of the deviation to 11 points; beyond.
@@ -82,7 +79,7 @@ def moments(values_m: Floats) -> Moments:
 def spread(values_m: Floats) -> Spread:
     """Compute extremes, median and the robust standard deviation of one component."""
     median = float(np.median(values_m))
-    nmad = policy.MAD_TO_SIGMA * float(np.median(np.abs(values_m - median)))
+    nmad = policy.mad_to_sigma * float(np.median(np.abs(values_m - median)))
     return Spread(float(np.min(values_m)), float(np.max(values_m)), median, nmad)
 
 
@@ -148,13 +145,16 @@ def circular_error(second_moments_m2: Floats, probability: float) -> float:
     Exact for any ellipse: P(r) is the integral over all directions of the radial part, which has a
     closed form, so one dimension is left to sum and one equation to solve.
     """
+    # Directions over half a turn; the integrand is smooth and periodic, so the rectangle rule converges
+    # exponentially and this many suffice for axis ratios down to about 1:100.
+    directions = 2048
     small, large = (max(float(value), 0.0) for value in np.linalg.eigvalsh(second_moments_m2))
     if large == 0.0:
         return 0.0
     # Below this ratio the ellipse is a line for every printed digit.
     if math.sqrt(small / large) < 1e-2:
         return linear_error(math.sqrt(large), probability)
-    angles = (np.arange(_DIRECTIONS) + 0.5) * math.pi / _DIRECTIONS
+    angles = (np.arange(directions) + 0.5) * math.pi / directions
     inverse = np.cos(angles) ** 2 + np.sin(angles) ** 2 * (large / small)
 
     def missing(radius: float) -> float:
@@ -310,7 +310,7 @@ def _require_level(confidence: float) -> None:
 
 def outliers(values_m: Floats, confidence: float) -> tuple[int, ...]:
     """Find the values that do not belong to the normal distribution of the others."""
-    if len(values_m) < policy.SMALLEST_SAMPLE:
+    if len(values_m) < policy.smallest_sample:
         return ()
     rows = np.arange(len(values_m))
     removed: list[int] = []

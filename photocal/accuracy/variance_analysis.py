@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from photocal.base import policy
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.base.policy import policy
 from photocal.block.table import read_wider_table
 from photocal.findings.document import Section, TablePart, table, text
 
@@ -38,7 +38,7 @@ class Effect:
     @property
     def significant(self) -> bool:
         """Whether chance makes so large an effect in less than one of twenty cases."""
-        return self.p_value < 1.0 - policy.CONFIDENCE
+        return self.p_value < 1.0 - policy.confidence
 
 
 def analyse_variance(factors: Mapping[str, Sequence[str]], values: Floats) -> tuple[Effect, ...]:

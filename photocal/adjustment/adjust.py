@@ -21,9 +21,6 @@ from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.distortion import slopes_of
 from photocal.geometry.resection import intersect
 
-# Squared distance, in units of the standard deviations, at which the movements of images are freed.
-NEAR = 1.0
-
 
 def adjust(
     network: Network, report: Callable[[Iteration], None] | None = None, state: State | None = None
@@ -118,9 +115,11 @@ def _near(network: Network, report: Callable[[Iteration], None] | None) -> State
 
     With movements as unknowns an iteration takes several times as long, and from here it takes few.
     """
+    # Squared distance, in units of the standard deviations, at which the movements of images are freed.
+    near_enough = 1.0
     start = start_state(network)
     try:
-        return minimise(with_datum(prepare(network), start), start, report, NEAR).state
+        return minimise(with_datum(prepare(network), start), start, report, near_enough).state
     except (IllPosedError, NotConvergedError):
         return None
 

@@ -23,8 +23,6 @@ from photocal.base.arrays import Floats, Integers
 # Steps of the whole block: so many at most, by differences over so many sigmas, as if each were resisted by
 # this much at least, and until no more than this is gained.
 NEWTON, SMALL, FLATTEST, CONVERGED = 10, 0.01, 1e-6, 1e-14
-# Share of its own diagonal that a similarity transformation may change v'Pv by and still be free.
-OPEN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -86,6 +84,8 @@ def _displacements(relative: Floats) -> Floats:
 
 def open_combinations(problem: Problem, normal: Normal, moves: Floats) -> Floats:
     """Combinations of the seven transformations that no observation sees, shape (7, d)."""
+    # Share of its own diagonal that a similarity transformation may change v'Pv by and still be free.
+    open_share = 1e-9
     length = np.sqrt(_resistance(problem, normal) @ moves**2)
     movable = length > 0
     length[~movable] = 1.0
@@ -94,7 +94,7 @@ def open_combinations(problem: Problem, normal: Normal, moves: Floats) -> Floats
     # What nothing can move is not open.
     form[~movable, ~movable] += 1.0
     eigenvalues, vectors = np.linalg.eigh((form + form.T) / 2)
-    return np.asarray(vectors[:, eigenvalues < OPEN] / length[:, None])
+    return np.asarray(vectors[:, eigenvalues < open_share] / length[:, None])
 
 
 def _resistance(problem: Problem, normal: Normal) -> Floats:

@@ -10,13 +10,11 @@ from photocal.adjustment.factored import Factored
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import other_equations
 from photocal.adjustment.solution import Group, Solution
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.policy import policy
 
 CONTROL = ("control-X", "control-Y", "control-Z")
 RAYS = ("image-tie", "image-control")
-# Of a coordinate's variance, what no other observation checks is not tested.
-CHECKED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -55,13 +53,13 @@ def group_tests(network: Network, solution: Solution) -> tuple[GroupTest, ...]:
 
 
 def _has(group: Group) -> bool:
-    return group.redundancy >= policy.FEWEST_REDUNDANT and group.chi_squared > 0.0
+    return group.redundancy >= policy.fewest_redundant and group.chi_squared > 0.0
 
 
 def tested(group: Group) -> GroupTest:
     """Test one group."""
     chi, r = group.chi_squared, group.redundancy
-    tail = (1.0 - policy.CONFIDENCE) / 2.0
+    tail = (1.0 - policy.confidence) / 2.0
     lower, upper = (float(np.sqrt(chi / special.chdtri(r, p))) for p in (tail, 1.0 - tail))
     p_value = 2.0 * min(float(special.chdtr(r, chi)), float(special.chdtrc(r, chi)))
     gain = chi - r - r * float(np.log(chi / r))
@@ -158,8 +156,10 @@ def _members(
     kind: str, index: Integers, residual: Floats, taken: Floats, root: Floats, observed: Flags
 ) -> list[Member]:
     """Test whitened residuals, computed less observed, whose adjusted values have the covariances `taken`."""
+    # Of a coordinate's variance, what no other observation checks is not tested.
+    checked_share = 1e-6
     left, axes = np.linalg.eigh(np.eye(3) - (taken + np.swapaxes(taken, 1, 2)) / 2.0)
-    checked = left > CHECKED
+    checked = left > checked_share
     axes = axes * checked[:, None, :]
     share = np.divide(1.0, left, out=np.zeros_like(left), where=checked)
     along, whole = np.einsum("nab,na->nb", axes, residual), root @ axes
@@ -167,7 +167,7 @@ def _members(
     # What is not checked in one direction is not known in any that has part in it.
     magnitude = np.abs(root) * observed[:, :, None]
     unchecked = np.abs(root - whole @ np.swapaxes(axes, 1, 2)).max(axis=2)
-    known = observed & (unchecked < CHECKED * magnitude.max(axis=(1, 2))[:, None])
+    known = observed & (unchecked < checked_share * magnitude.max(axis=(1, 2))[:, None])
     covariance = (whole * share[:, None, :]) @ np.swapaxes(whole, 1, 2)
     covariance[~(known[:, :, None] & known[:, None, :])] = np.inf
     statistic, dimensions = np.sum(along**2 * share, axis=1), checked.sum(axis=1)

@@ -32,8 +32,6 @@ SINGULAR = RankLimits(1e-10, 1e-12)
 SUSPECT = RankLimits(1e-4, 1e-7)
 # A standard deviation of this share of the value itself: the linearisation no longer means anything.
 LOST_POINT, LOST_CAMERA = 0.5, 0.1
-# Unknowns that are printed of a null vector.
-MOST_SHOWN = 12
 DATUM_NAMES = (*(f"position in {axis}" for axis in XYZ), *(f"rotation about {axis}" for axis in XYZ), "scale")
 
 
@@ -192,6 +190,8 @@ def _loaded(problem: Problem, named: Sequence[Unknown | None], null: Floats) -> 
 
 def _null_vectors(named: Sequence[Unknown | None], null: Floats, scale: Floats) -> tuple[str, ...]:
     """Print what may change together without changing any observation, a line for each null vector."""
+    # Unknowns that are printed of a null vector.
+    most_shown = 12
     # The basis is turned so that each vector moves one leading unknown by 1 and not those of the others.
     loads = null * np.array([unknown is not None for unknown in named])[:, None]
     _, _, order = qr(loads.T, mode="economic", pivoting=True)
@@ -203,8 +203,8 @@ def _null_vectors(named: Sequence[Unknown | None], null: Floats, scale: Floats) 
         rest = np.argsort(-np.round(np.abs(load), 6), kind="stable").tolist()
         shown = [lead] + [k for k in rest if k != lead and abs(load[k]) > 0.02 * np.abs(load).max()]
         change = load / scale
-        parts = [_part(named[k], change[k], named[lead], change[lead]) for k in shown[:MOST_SHOWN]]
-        more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
+        parts = [_part(named[k], change[k], named[lead], change[lead]) for k in shown[:most_shown]]
+        more = f" and {len(shown) - most_shown} more" if len(shown) > most_shown else ""
         lines.append(f"null vector {number}: {', '.join(parts)}{more}")
     return tuple(lines)
 

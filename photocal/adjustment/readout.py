@@ -18,8 +18,8 @@ from photocal.adjustment.shake import with_shake
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import head_values
-from photocal.base import policy
 from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.base.policy import policy
 from photocal.geometry.camera import PARAMETERS, Camera, ReadoutDirection, among
 
 Report = Callable[[Iteration], None]
@@ -28,15 +28,6 @@ READOUT = PARAMETERS.index("readout")
 # The sigmas of gusts belong to the readout when it changes by less than this share; those of frames, too.
 SETTLED = 0.02
 ROUNDS = 5
-# Gusts get room for so many sigmas of the readout beside itself. Where both come out short, its error e and
-# sigma s together, e / s has a variance of 1 + 9 (s / readout)^2, to second order.
-ROOM = 3.0
-# Standard deviations that its estimate must be away from zero, on the side that the test found.
-BORNE = 2.0
-# What c and principal point may be wrong by where a lens is held that nobody has calibrated, as a share of c.
-# Of 12 simulated flights with c 0 to 3 % and the principal point 30 to 100 px off, each with a readout of 0
-# and of 30 ms, shares from 0.002 to 1 give the same outcomes.
-LENS_SHARE = 0.05
 _LENS = tuple(PARAMETERS.index(name) for name in ("c", "x0", "y0"))
 
 
@@ -70,6 +61,8 @@ def with_readouts(
     A movement that departs from the given motion has that motion's sigma times the readout. With a readout
     of zero nothing departs, and the test of a global shutter is exact.
     """
+    # Standard deviations that its estimate must be away from zero, on the side that the test found.
+    borne_sigmas = 2.0
     doubtful = [
         k for k, camera in enumerate(network.cameras) if camera.shutter == "unknown" and not camera.rolling
     ]
@@ -79,19 +72,19 @@ def with_readouts(
         if doubtful and network.exposures.motion is not None:
             freed = {k: _freed(network.cameras[k]) for k in doubtful}
             tests = _tested(_with(network, freed), solution, doubtful)
-            rolling = [k for k, test in tests.items() if test.p_value < policy.SIGNIFICANCE]
+            rolling = [k for k, test in tests.items() if test.p_value < policy.significance]
             beside = {k: with_loose_sides(freed[k]) for k in rolling}
             tests |= _tested(_with(network, beside), solution, rolling) if rolling else {}
             # The test tells the readout well enough for the sigmas of gusts to begin with.
             known = {
                 k: _forward(freed[k].changed(readout=test.value))
                 for k, test in tests.items()
-                if test.p_value < policy.SIGNIFICANCE
+                if test.p_value < policy.significance
             }
         network, solution = _settled(_with(network, known), solution, report, changed=bool(known))
         # Free to move as much as such a readout lets them, the images must still bear it.
         borne = [readout_of(network, solution, k) for k in known]
-        if any(readout.value < BORNE * readout.sigma for readout in borne):
+        if any(readout.value < borne_sigmas * readout.sigma for readout in borne):
             return given[0], given[1], tuple(tests[k] for k in sorted(tests))
     except (IllPosedError, NotConvergedError):
         # A readout that nobody has stated and the network does not bear leaves it as it was.
@@ -140,8 +133,13 @@ def _free(network: Network) -> list[int]:
 
 def _room(network: Network, solution: Solution) -> dict[int, float]:
     """Readouts that gusts get their room by."""
+    # Gusts get room for so many sigmas of the readout beside itself. Where both come out short, its error e
+    # and sigma s together, e / s has a variance of 1 + 9 (s / readout)^2, to second order.
+    room_sigmas = 3.0
     variance = {k: float(solution.camera_covariance[k, READOUT, READOUT]) for k in _free(network)}
-    return {k: float(np.sqrt(solution.cameras[k, READOUT] ** 2 + ROOM**2 * v)) for k, v in variance.items()}
+    return {
+        k: float(np.sqrt(solution.cameras[k, READOUT] ** 2 + room_sigmas**2 * v)) for k, v in variance.items()
+    }
 
 
 def _belong(network: Network, readouts: dict[int, float]) -> bool:
@@ -206,8 +204,12 @@ def rolls_whatever_the_lens(network: Network, solution: Solution) -> bool:
 
     What a wrong principal point does over a flight there and back is much like a readout.
     """
+    # What c and principal point may be wrong by where a lens is held that nobody has calibrated, as a share
+    # of c. Of 12 simulated flights with c 0 to 3 % and the principal point 30 to 100 px off, each with a
+    # readout of 0 and of 30 ms, shares from 0.002 to 1 give the same outcomes.
+    lens_share = 0.05
     doubtful = {
-        k: with_loose_sides(_loosened(_freed(camera), _LENS, LENS_SHARE * camera.value("c")))
+        k: with_loose_sides(_loosened(_freed(camera), _LENS, lens_share * camera.value("c")))
         for k, camera in enumerate(network.cameras)
         if camera.shutter == "unknown" and not camera.rolling
     }
@@ -215,7 +217,7 @@ def rolls_whatever_the_lens(network: Network, solution: Solution) -> bool:
         tests = _tested(_with(network, doubtful), solution, list(doubtful))
     except IllPosedError:
         return False
-    return any(test.p_value < policy.SIGNIFICANCE for test in tests.values())
+    return any(test.p_value < policy.significance for test in tests.values())
 
 
 def left_by_movement(network: Network, solution: Solution) -> float:

@@ -19,8 +19,8 @@ from photocal.adjustment.normal import values_of
 from photocal.adjustment.score import followed_by
 from photocal.adjustment.sensitivity import point_effects
 from photocal.adjustment.solution import Solution
-from photocal.base import policy
 from photocal.base.arrays import Floats
+from photocal.base.policy import policy
 from photocal.geometry.camera import PARAMETERS
 
 # Below this redundancy number no other observation checks an observation.
@@ -53,7 +53,7 @@ class Reliability:
 
 
 def noncentrality(
-    significance: float = policy.SIGNIFICANCE, power: float = policy.POWER, dimensions: int = 1
+    significance: float = policy.significance, power: float = policy.power, dimensions: int = 1
 ) -> float:
     """Shift of a standardised residual that its two-sided test finds with a stated power."""
     limit = special.chdtri(dimensions, significance)
@@ -82,8 +82,8 @@ def _checked(redundancy: Floats) -> Floats:
 def reliability(
     network: Network,
     solution: Solution,
-    significance: float = policy.SIGNIFICANCE,
-    power: float = policy.POWER,
+    significance: float = policy.significance,
+    power: float = policy.power,
 ) -> Reliability:
     """Internal and external reliability of all rays and control coordinates."""
     delta0 = noncentrality(significance, power)

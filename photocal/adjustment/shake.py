@@ -14,10 +14,10 @@ from photocal.adjustment.normal import prepare, values_of
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats
 from photocal.base.compiled import compiled
 from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.base.policy import policy
 from photocal.geometry.camera import MOTION, OWN, PARAMETERS, SHAKE_DEGREES
 from photocal.geometry.lens import Scratch, scratch
 
@@ -60,7 +60,7 @@ def with_shake(
     sigmas |= {
         k: _start(local)
         for k, local in _by_camera(network, solution).items()
-        if k not in sigmas and _shakes(local) < policy.SIGNIFICANCE
+        if k not in sigmas and _shakes(local) < policy.significance
     }
     if not sigmas:
         return network, solution

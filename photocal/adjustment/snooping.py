@@ -23,15 +23,11 @@ from photocal.adjustment.normal import Problem, normal_equations, other_equation
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration, minimise, moved_by, reduced_step
 from photocal.adjustment.state import State, start_state
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import NotConvergedError
+from photocal.base.policy import policy
 
 Test = Literal["w", "tau"]
-
-ROUNDS = 30
-# The robust start ends when a step takes less than this share of what is left.
-SETTLED = 1e-5
 
 
 @dataclass(frozen=True)
@@ -58,13 +54,14 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
     raises IllPosedError: when the accepted observations do not determine the unknowns.
     raises NotConvergedError: when the iteration or the rejections do not come to an end.
     """
+    most_rounds = 30
     began = time.perf_counter()
     whole = prepare(network)
     state = robust_state(with_datum(whole, start_state(network)), start_state(network), report)
     fit = ray_fit(whole, state)
     level = significance_of(2 * len(fit))
     accepted = fit < np.sqrt(special.chdtri(2, level)) * _scale(fit)
-    for rounds in range(1, ROUNDS + 1):
+    for rounds in range(1, most_rounds + 1):
         part, rays, points = subset(network, accepted)
         start = replace(state, points=state.points[points])
         problem = with_datum(prepare(part), start)
@@ -80,7 +77,7 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
         inside = np.zeros(len(network.points.values), dtype=np.bool_)
         inside[points] = True
         # Late in the search nothing is taken back, so that it ends.
-        again = fits & ~accepted & inside[network.rays.point] & (rounds < ROUNDS // 2)
+        again = fits & ~accepted & inside[network.rays.point] & (rounds < most_rounds // 2)
         if not wrong.any() and not again.any():
             taking_part = np.zeros(len(accepted), dtype=np.bool_)
             taking_part[rays] = True
@@ -88,13 +85,15 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
             return Snooping(part, replace(solution, timing_s=timing), taking_part, points, rounds)
         accepted = (accepted & ~wrong) | again
     raise NotConvergedError(
-        f"data snooping still finds gross errors after {ROUNDS} rounds",
+        f"data snooping still finds gross errors after {most_rounds} rounds",
         "look at the images with the largest residuals; whole images may be wrong",
     )
 
 
 def robust_state(problem: Problem, state: State, report: Callable[[Iteration], None] | None = None) -> State:
     """State that gross errors do not bend, by damped iteratively reweighted least squares."""
+    # The robust start ends when a step takes less than this share of what is left.
+    settled_share = 1e-5
     fit, damping = ray_fit(problem, state), 0.0
     # Cauchy's function halves the weight of a ray at this multiple of the scale.
     half_weight = 3.0
@@ -120,7 +119,7 @@ def robust_state(problem: Problem, state: State, report: Callable[[Iteration], N
         if report:
             report(Iteration(number, normal.chi_squared, decrement, damping))
         # The weights follow the residuals, so that the last digits of this state mean nothing.
-        settled = decrement < 1e-3 * np.sqrt(len(fit)) or lower > (1 - SETTLED) * cost
+        settled = decrement < 1e-3 * np.sqrt(len(fit)) or lower > (1 - settled_share) * cost
         if damping <= 1e-3 and settled:
             break
         damping = damping / 10 if damping > 1e-6 else 0.0
@@ -165,7 +164,7 @@ def worst_of_points(network: Network, solution: Solution, test: Test) -> Integer
 
 def significance_of(tests: int) -> float:
     """Probability of rejecting one good observation when so many are tested."""
-    return min(policy.SIGNIFICANCE, 1.0 / max(tests, 1))
+    return min(policy.significance, 1.0 / max(tests, 1))
 
 
 def critical_value(degrees_of_freedom: int, test: Test, significance: float) -> float:

@@ -20,9 +20,6 @@ from photocal.base.errors import IllPosedError, NotConvergedError
 
 # A variance is settled when a round changes it by less than this share of itself.
 SETTLED = 1e-3
-ROUNDS = 60
-# A variance that shrinks below this share of the given one is running to zero.
-VANISHED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -97,12 +94,15 @@ def estimate_components(
     raises IllPosedError: when the network is singular, or a variance runs to zero.
     raises NotConvergedError: when the variances do not settle.
     """
+    most_rounds = 60
+    # A variance that shrinks below this share of the given one is running to zero.
+    vanished = 1e-6
     rays = rays or rays_together(network)
     factors: dict[str, float] = {}
     state = start
     # With less redundancy a group says nothing about its own variance.
     fewest = 1.0
-    for rounds in range(1, ROUNDS + 1):
+    for rounds in range(1, most_rounds + 1):
         scaled = with_factors(network, rays, factors)
         solution = adjust(scaled, report, state)
         state = solution.state
@@ -115,14 +115,14 @@ def estimate_components(
             return VarianceComponents(_components(groups, change, factors), scaled, solution, rounds)
         for name, share in change.items():
             factors[name] = factors.get(name, 1.0) * float(np.sqrt(share))
-            if factors[name] ** 2 < VANISHED:
+            if factors[name] ** 2 < vanished:
                 raise IllPosedError(
                     f"the variance of group {name} runs to zero",
                     "hold its standard deviation: its residuals do not show it",
                     where=f"group {name}",
                 )
     raise NotConvergedError(
-        f"the variance components have not settled after {ROUNDS} rounds",
+        f"the variance components have not settled after {most_rounds} rounds",
         "hold the groups with the least redundancy, or look for gross errors first",
     )
 

@@ -10,9 +10,9 @@ import numpy as np
 from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
 from photocal.analysis.left_out import Checks
 from photocal.analysis.outcome import ANALYSIS, Analysis, ExteriorDifference, Outcome, analyse_network
-from photocal.base import policy
 from photocal.base.arrays import as_plain
 from photocal.base.files import output_file, write_json
+from photocal.base.policy import policy
 from photocal.block.model import Block, digest
 from photocal.block.network import NetworkOfBlock, block_frame
 from photocal.exchange.formats import read_any_block
@@ -59,8 +59,8 @@ def _words(part: object, say: Catalogue) -> dict[str, Any]:
 def analyse_run(
     folder: Path,
     block: Path | None = None,
-    alpha: float = policy.PARAMETER_SIGNIFICANCE,
-    threshold: float = policy.STRONG_CORRELATION,
+    alpha: float = policy.parameter_significance,
+    threshold: float = policy.strong_correlation,
     done: Callable[[float], None] = lambda _: None,
     say: Catalogue | None = None,
     draws: int = 0,

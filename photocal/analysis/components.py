@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from photocal.analysis.estimates import Estimates, positive_definite, quadratic_form, without
-from photocal.base import policy
 from photocal.base.arrays import Floats
+from photocal.base.policy import policy
 from photocal.findings.finding import Figure, Finding
 
 ESSENTIAL = ("c", "x0", "y0")
@@ -110,7 +110,7 @@ def propose_removal(estimates: Estimates) -> Proposal:
 def _crowd(components: Components, negligible: int) -> tuple[str, ...]:
     """Name the parameters that cannot be told apart, or none."""
     for column in np.abs(components.loadings).T:
-        together = np.flatnonzero(column > policy.STRONG_CORRELATION)
+        together = np.flatnonzero(column > policy.strong_correlation)
         if len(together) > 1:
             return tuple(components.names[i] for i in together)
     if negligible:

@@ -13,15 +13,13 @@ from photocal.adjustment.network import NO_RELATIONS
 from photocal.adjustment.removed import NEAR, state_without
 from photocal.adjustment.state import State
 from photocal.analysis.left_out import Checks
-from photocal.base import policy
 from photocal.base.arrays import Flags, Integers
 from photocal.base.errors import IllPosedError, InputMalformedError, NotConvergedError
+from photocal.base.policy import policy
 from photocal.findings.finding import Figure, Finding, Size
 from photocal.geometry.camera import MODELS, PARAMETERS, Camera, Model, among
 from photocal.geometry.conversion import converted
 
-# Images are left out in so many groups of neighbours.
-GROUPS = 6
 # A model is better from here on: by how much it lowers v'Pv for each unknown more, and the residuals of the
 # images that were left out. The same lens written otherwise differs by less.
 GAIN, SHARE = 20.0, 0.01
@@ -51,11 +49,13 @@ def lens_fits(
     fitted: AdjustedNetwork, camera: int, checks: Checks, done: Callable[[], None]
 ) -> tuple[LensFit, ...]:
     """Fit every model to the rays of one camera; the one that it has comes first, then the better ones."""
+    # Images are left out in so many groups of neighbours.
+    most_groups = 6
     interior = fitted.network.cameras[camera].with_values(fitted.state.cameras[camera])
     if not set(interior.free) & set(interior.lens.terms) or interior.focus_m or interior.photo_variant:
         return ()
     images = np.flatnonzero(fitted.network.exposures.camera == camera)
-    groups = [group for group in np.array_split(images, min(GROUPS, len(images))) if len(group)]
+    groups = [group for group in np.array_split(images, min(most_groups, len(images))) if len(group)]
     try:
         fits = [_judged(fitted, camera, interior, groups, checks)]
     except (IllPosedError, NotConvergedError):
@@ -90,7 +90,7 @@ def better_lens(fits: tuple[LensFit, ...]) -> LensFit | None:
     best = min((lens.left_out for lens in better), default=np.inf)
     alike = [lens for lens in better if lens.left_out < (1 + SHARE) * best]
     least = min((_akaike(lens) for lens in alike), default=np.inf)
-    nearly = [lens for lens in alike if _akaike(lens) <= least + policy.ALIKE_MODELS]
+    nearly = [lens for lens in alike if _akaike(lens) <= least + policy.alike_models]
     return min(nearly, key=lambda lens: list(MODELS).index(lens.model), default=None)
 
 

@@ -43,8 +43,6 @@ from photocal.geometry.distortion import undistorted
 from photocal.hypotheses.findings import Slips, asked_of, no_slips
 
 _ROTATION = Method("ROT", "two principal distances", "equations", 3, False, (rotation_misfit,))
-# Of the bootstrap: the same images are drawn again when a certificate is verified.
-SEED = 1
 # Findings of terms that a lens model lacks.
 _TERMS = ("radial", "decentring")
 # Defects of a datum: 3 shifts, 3 turns and the scale; the same without the turns, which attitudes give.
@@ -295,6 +293,8 @@ def analyse_network(
     done: gets the share of the work that was done since it was called last.
     raises IllPosedError, NotConvergedError: as the adjustment does.
     """
+    # Of the bootstrap: the same images are drawn again when a certificate is verified.
+    seed = 1
     left, share = 1.0, 1.0 / (_steps(network) + draws)
 
     def step() -> None:
@@ -309,7 +309,7 @@ def analyse_network(
         fitted = fit(network, start)
     searched = search(fitted, step)
     geometry = shape(network, fitted.state)
-    drawn = bootstrap(fitted, draws, np.random.default_rng(SEED), step) if draws else None
+    drawn = bootstrap(fitted, draws, np.random.default_rng(seed), step) if draws else None
     # Lenses are compared where something is left that a lens may explain, when that is corrected which is
     # no matter of the lens.
     of_lens_terms = any(error.hypothesis.name in _TERMS for error in searched.causes.errors)

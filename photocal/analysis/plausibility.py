@@ -7,14 +7,13 @@ from typing import Literal
 import numpy as np
 
 from photocal.analysis.correlation import correlation_findings
-from photocal.base import policy
 from photocal.base.arrays import Floats
+from photocal.base.policy import policy
 from photocal.findings.finding import Finding
 
 Triple = tuple[float, float, float]
 
 FOCAL_TOLERANCE = 0.10
-SENSOR_TOLERANCE = 0.05
 PRIOR_SHARE = 0.95
 RADIAL = ("K1", "K2", "K3", "K4")
 
@@ -101,7 +100,7 @@ def plausibility(record: CalibrationRecord) -> tuple[Finding, ...]:
         *(
             Finding("not_significant", "note", name, {"t": value / sigma})
             for name, value in record.values.items()
-            if name != "c" and abs(value) < policy.TIMES_95 * (sigma := record.sigmas.get(name, 0.0))
+            if name != "c" and abs(value) < policy.times_95 * (sigma := record.sigmas.get(name, 0.0))
         ),
         *(
             Finding("only_its_prior", "doubtful", name, {"sigma": record.sigmas[name], "prior_sigma": prior})
@@ -166,9 +165,11 @@ def _format(record: CalibrationRecord) -> list[Finding]:
 
 
 def _fits(sensor: tuple[float, ...], width: float, height: float) -> bool:
+    # Makers round the sides of a sensor to a tenth of a millimetre.
+    sensor_tolerance = 0.05
     if len(sensor) > 1:
-        return _close(width, sensor[0], SENSOR_TOLERANCE) and _close(height, sensor[1], SENSOR_TOLERANCE)
-    return any(_close(side, sensor[0], SENSOR_TOLERANCE) for side in (width, height, np.hypot(width, height)))
+        return _close(width, sensor[0], sensor_tolerance) and _close(height, sensor[1], sensor_tolerance)
+    return any(_close(side, sensor[0], sensor_tolerance) for side in (width, height, np.hypot(width, height)))
 
 
 def _folding(record: CalibrationRecord) -> list[Finding]:
@@ -230,7 +231,7 @@ def _base(record: CalibrationRecord) -> list[Finding]:
 def _weakness(record: CalibrationRecord) -> list[Finding]:
     """Find a principal distance that the network hardly tells from the distance of the object."""
     share = record.sigmas.get("c", 0.0) / record.values["c"]
-    if share <= policy.WEAK_C:
+    if share <= policy.weak_c:
         return []
     figures = {"percent": 100.0 * share}
     if record.convergence_deg is None or record.depth_spread is None:
@@ -254,5 +255,5 @@ def _offsets(name: str, offsets: Offsets | None) -> list[Finding]:
     return [
         Finding("not_significant", "note", f"{name}_{axis}", {"t": value / sigma})
         for axis, value, sigma in zip("XYZ", offsets.values, offsets.sigmas, strict=True)
-        if sigma > 0.0 and abs(value) < policy.TIMES_95 * sigma
+        if sigma > 0.0 and abs(value) < policy.times_95 * sigma
     ]

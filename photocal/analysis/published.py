@@ -11,9 +11,9 @@ from scipy import special
 from photocal.analysis.components import Components, Proposal, principal_components, propose_removal
 from photocal.analysis.correlation import StrongCorrelation, strong_correlations
 from photocal.analysis.estimates import GROUPS, Estimates, FTest, f_test, from_sigmas
-from photocal.base import policy
 from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.base.policy import policy
 from photocal.block.table import read_columns, read_table, read_wider_table
 from photocal.findings.finding import Figure, Finding
 from photocal.geometry.camera import PARAMETERS
@@ -153,7 +153,7 @@ def one_angle(estimates: Estimates) -> Finding | None:
         return None
     both = estimates.select(angles)
     r = float(both.correlation[0, 1])
-    if abs(r) < policy.ONE_ANGLE:
+    if abs(r) < policy.one_angle:
         return None
     figures: dict[str, Figure] = {"r": r, "phi_deg": math.degrees(math.asin(min(abs(r), 1.0)))}
     return Finding("one-angle", "note", "omega-kappa", figures)

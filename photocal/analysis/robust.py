@@ -18,9 +18,9 @@ from photocal.adjustment.removed import (
     state_without,
 )
 from photocal.adjustment.score import followed_by
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.base.policy import policy
 
 # Beyond this many images what leaving them out does is read from the factor that there is.
 CLOSED_FORM = 20
@@ -96,7 +96,7 @@ def sandwich(fit: AdjustedNetwork) -> Floats:
     """
     layout, problem = fit.factored.problem.layout, fit.factored.problem
     image, images = fit.network.rays.image, len(fit.network.image_names)
-    checked = np.maximum(fit.solution.redundancy, policy.LEAST_CHECKED)
+    checked = np.maximum(fit.solution.redundancy, policy.least_checked)
     pull = fit.network.rays.sigma**-2.0 * fit.solution.residuals / np.sqrt(checked)
     others = list(other_equations(problem, fit.state).values())
     off = np.einsum("nab,nb->na", fit.network.points.weight, fit.state.points - fit.network.points.values)

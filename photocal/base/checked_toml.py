@@ -12,7 +12,6 @@ from photocal.base.errors import ConfigurationError, InputNotFoundError
 Content = TypeVar("Content", bound=BaseModel)
 
 
-_MOST_PARTS = 100
 # An unknown key, in a table and in a dataclass of options.
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
@@ -25,9 +24,10 @@ class Table(BaseModel):
 
 def parse_toml(text: str) -> dict[str, Any]:
     """Parse TOML; what is nested or numbered beyond all measure is no TOML either."""
+    most_parts = 100
     # Each part of a dotted name is kept with all before it: many of them would fill the memory.
-    if any(line.partition("=")[0].count(".") > _MOST_PARTS for line in text.splitlines()):
-        raise tomllib.TOMLDecodeError(f"a name has more than {_MOST_PARTS} parts")
+    if any(line.partition("=")[0].count(".") > most_parts for line in text.splitlines()):
+        raise tomllib.TOMLDecodeError(f"a name has more than {most_parts} parts")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError:

@@ -30,8 +30,6 @@ from photocal.base.progress import Bar, Standing
 
 # Into a file, or to a program that reads along, a line of progress is written so often.
 LINE_EVERY_S = 10.0
-# To a program that asked for JSON.
-JSON_EVERY_S = 2.0
 
 
 class _Commands(TyperGroup):
@@ -272,8 +270,10 @@ def progress(title: str, total: float | None) -> Iterator[Callable[[float], None
 
 def one_bar(as_json: bool = False) -> Bar:
     """Show a run of several stages on standard error by one bar, or line by line into a file or as JSON."""
+    # To a program that asked for JSON.
+    json_every_s = 2.0
     if as_json:
-        return partial(_as_lines, JSON_EVERY_S, _as_json)
+        return partial(_as_lines, json_every_s, _as_json)
     return _on_terminal if sys.stderr.isatty() else partial(_as_lines, LINE_EVERY_S, _in_words)
 
 

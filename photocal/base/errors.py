@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
 
-LONGEST = 1200
 # What only writing meets: a full disk, a quota, the largest size of a file, a disk that takes nothing.
 _NO_ROOM = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
 _WRITING = {*_NO_ROOM, errno.EROFS}
@@ -40,11 +39,13 @@ class PhotocalError(Exception):
         return lambda what, remedy="": cls(what, remedy, where=where)
 
     def __str__(self) -> str:
+        # What a hostile file says of itself does not fill the screen.
+        longest = 1200
         place = f"{self.where}: " if self.where else ""
         advice = f"; {self.remedy}" if self.remedy else ""
         line = " ".join(f"{place}{self.what}{advice}".split())
         # What a damaged file claims to hold may be longer than anybody reads.
-        return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
+        return line if len(line) <= longest else f"{line[: longest // 2]} ... {line[-longest // 2 :]}"
 
 
 class InputNotFoundError(PhotocalError):

@@ -20,8 +20,6 @@ from photocal.base.errors import InputMalformedError, InputNotFoundError, Output
 # As spreadsheets of half the world write them: 1234,5 and 1.234,5.
 _COMMA = r"[+-]?(\d+|\d{1,3}(\.\d{3})+)(,\d+)?([eE][+-]?\d+)?"
 _HEAD_BYTES = 1 << 20
-# No coordinate and no sigma is larger; products of some of these are still numbers.
-LARGEST = 1e30
 # Tables of observations and residuals that are longer are written as Parquet.
 LONG_TABLE = 500_000
 MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
@@ -90,6 +88,8 @@ class TextTable:
 
     def numbers(self, column: str, *, empty: float | None = None) -> Floats:
         """Numbers of a column; `empty` stands for empty cells, None forbids them."""
+        # No coordinate and no sigma is larger; products of some of these are still numbers.
+        largest = 1e30
         if not self.has(column):
             return np.full(len(self), np.nan if empty is None else empty)
         cells = self.columns[column]
@@ -101,8 +101,8 @@ class TextTable:
             blank = np.asarray(pc.is_null(cells))
             values = np.asarray(cells.cast(pa.float64()).fill_null(0.0))
         refuse(self, ~np.isfinite(values) & ~blank, f"{column} is not finite", "give a number")
-        what = f"{column} is larger than {LARGEST:g}"
-        refuse(self, (np.abs(values) > LARGEST) & ~blank, what, "correct the number, or leave it empty")
+        what = f"{column} is larger than {largest:g}"
+        refuse(self, (np.abs(values) > largest) & ~blank, what, "correct the number, or leave it empty")
         if empty is None:
             refuse(self, blank, f"{column} is empty", "give a number")
             return np.array(values)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from photocal.base.console import answer, argument, option, progress, spread
 from photocal.base.errors import ConfigurationError
-from photocal.base.policy import WEAK_C
+from photocal.base.policy import policy
 from photocal.measurement.options import MeasureOptions
 
 
@@ -101,7 +101,7 @@ def _corner_lines(record: dict[str, Any]) -> list[str]:
         *(
             f"the views determine the principal distance to {100 * ratio:.2g} % only: take more, tilted ones"
             for ratio in record["principal_distance_sigma_ratio"]
-            if ratio > WEAK_C
+            if ratio > policy.weak_c
         ),
         *_rejected(record.get("rejected", [])),
         *_left_out(record),

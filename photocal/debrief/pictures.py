@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.adjustment.solution import Solution
-from photocal.base import policy
 from photocal.base.errors import PhotocalError
+from photocal.base.policy import policy
 from photocal.base.progress import Progress
 from photocal.block.model import digest
 from photocal.findings.finding import Finding, untested
@@ -146,7 +146,7 @@ def _blurred(looks: Sequence[PictureQuality]) -> list[PictureQuality]:
     if known.sum() < 5:
         return []
     middle = float(np.median(softness[known]))
-    spread = policy.MAD_TO_SIGMA * float(np.median(np.abs(softness[known] - middle)))
+    spread = policy.mad_to_sigma * float(np.median(np.abs(softness[known] - middle)))
     limit = middle + max(np.log(_SOFTER), _DEVIATIONS * spread)
     return [look for look, value in zip(looks, softness, strict=True) if value > limit]
 

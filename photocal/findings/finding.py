@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from photocal.base import policy
+from photocal.base.policy import policy
 
 # Refused: the figure cannot be right. Grave: what the client uses is wrong. Doubtful: it contradicts
 # another, or an error is large. Consequence: it follows from others that say what is wrong. Note: the reader
@@ -90,5 +90,5 @@ def of_global_test(
     if accepted or abs(factor - 1.0) <= FACTOR:
         return Finding("global-factor", "passed", figures=figures)
     # Beyond that the standard deviations say nothing of what is behind the misfit.
-    severity: Severity = "grave" if factor > policy.WORTH_A_WORD else "doubtful"
+    severity: Severity = "grave" if factor > policy.worth_a_word else "doubtful"
     return Finding("global-factor", severity, figures=figures, remedy="scale-sigmas")

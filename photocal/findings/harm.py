@@ -6,7 +6,7 @@ What is determined but harmless is a note, what is harmful but not determined is
 import math
 from dataclasses import dataclass, replace
 
-from photocal.base import policy
+from photocal.base.policy import policy
 from photocal.findings.finding import Finding
 
 # Clauses that name rivals: causes that explain the observations as well.
@@ -36,7 +36,7 @@ def harmful_from(pixel_on_ground_m: float, target_m: float | None) -> float:
 
     target_m: root mean square error that was asked for; without one, a pixel is the measure.
     """
-    return pixel_on_ground_m if target_m is None else policy.HARM_SHARE * target_m
+    return pixel_on_ground_m if target_m is None else policy.harm_share * target_m
 
 
 def on_ground(finding: Finding, asked: Asked) -> float | None:
@@ -63,7 +63,7 @@ def weighed(finding: Finding, asked: Asked) -> Finding:
     if effect is None or finding.severity not in ("grave", "doubtful"):
         return finding
     size = finding.size and replace(finding.size, ground_m=effect)
-    seen = size is not None and (size.px or 0.0) >= policy.SMALL_PX
+    seen = size is not None and (size.px or 0.0) >= policy.small_px
     if effect < asked.ground_m and not seen:
         return replace(finding, severity="note", size=size)
     if finding.severity == "grave" and _RIVALS & set(finding.clauses):

@@ -17,7 +17,6 @@ Transformation = Literal["conformal", "affine", "projective"]
 PARAMETER_COUNT: dict[Transformation, int] = {"conformal": 4, "affine": 6, "projective": 8}
 # Singular values whose ratio is smaller come from marks in a line, or fewer than they seem.
 DEGENERATE = 1e-9
-ITERATIONS = 30
 
 
 @dataclass(frozen=True)
@@ -123,6 +122,8 @@ def _conformal(readings: Floats, known: Floats, mirrored: bool) -> Floats:
 
 def _projective(readings: Floats, known: Floats) -> Floats:
     """Eight parameters: linear start, then Gauss-Newton on the residuals at the marks."""
+    # It settles in a few iterations.
+    iterations = 30
     x, y = readings.T
     ones, zero = np.ones_like(x), np.zeros_like(x)
     rows = [
@@ -136,7 +137,7 @@ def _projective(readings: Floats, known: Floats) -> Floats:
         )
     matrix: Floats = vectors[-1].reshape(3, 3)
     matrix = matrix / matrix[2, 2]
-    for _ in range(ITERATIONS):
+    for _ in range(iterations):
         moved = _transform(matrix, readings)
         depth = readings @ matrix[2, :2] + 1.0
         top = np.column_stack([x, y, ones]) / depth[:, None]

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import IllPosedError
+from photocal.base.policy import policy
 
 # A plane through heights wants a point more than it has parameters, and width against its length.
 _FEWEST_FOR_TILT, _LINE = 4, 0.02
-_ROUNDS = 20
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ class FittedPart:
     def doubtful(self) -> Flags:
         """Points that do not fit the others, shape (n,); the family of tests alarms once in 200 cases."""
         checked = np.isfinite(self.probability)
-        limit = policy.FAMILY_SIGNIFICANCE / max(int(checked.sum()), 1)
+        limit = policy.family_significance / max(int(checked.sum()), 1)
         return np.asarray(checked & (np.nan_to_num(self.probability, nan=1.0) < limit))
 
 
@@ -173,11 +172,13 @@ def _fitted(
     start: Floats, free: Flags, given: Floats, sigma: Floats | None, used: Flags,
 ) -> FittedPart:  # fmt: skip
     """Fit by least squares; tests by what the other points say of each."""
+    # It settles in a few rounds.
+    rounds = 20
     k = given.shape[1]
     deviation = np.ones((int(used.sum()), k)) if sigma is None else np.maximum(sigma[used], 1e-6)
     weight = 1.0 / deviation.ravel()
     parameters = start.copy()
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         residual = (model(parameters).reshape(given.shape)[used] - given[used]).ravel()
         design = derivative(parameters)[used].reshape(len(residual), -1)[:, free]
         step, *_ = np.linalg.lstsq(design * weight[:, None], -residual * weight, rcond=None)

@@ -16,9 +16,6 @@ from photocal.geometry.distortion import projected, undistorted
 from photocal.geometry.frames import LocalFrame, nearest_rotation
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 
-# From a line's place to the pose and back: each time a hundredth of the change is left, or less.
-_LINES = 6
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OrientedImages:
@@ -126,10 +123,12 @@ class OrientedImages:
         image (m,).
         xyz (m, 3).
         """
+        # From a line's place to the pose and back: each time a hundredth of the change is left, or less.
+        rounds = 6
         rotation, station = self.rotation[image], self.station[image]
         pixels = self._recorded(image, np.einsum("nij,nj->ni", rotation, xyz - station))
         # The line tells the pose, and the pose the line.
-        for _ in range(0 if self.movement is None else _LINES):
+        for _ in range(0 if self.movement is None else rounds):
             rotation, station = self.at_lines(image, pixels)
             pixels = self._recorded(image, np.einsum("nij,nj->ni", rotation, xyz - station))
         return pixels

@@ -12,7 +12,6 @@ FEWEST = 4
 # A fit may hold gross errors when a residual is larger than this many times the median, or than this many
 # principal distances.
 UNEVEN, LARGE = 6.0, 5e-3
-SAMPLES = 100
 # Camera axes here are x right, y up, z backwards; in OpenCV x right, y down, z forward.
 FLIP = np.diag([1.0, -1.0, -1.0])
 
@@ -94,11 +93,12 @@ def _direct(world: Floats, rays: Floats) -> Resection | None:
 
 def _least_median(world: Floats, rays: Floats) -> Resection | None:
     """Pose of least median residual, improved with the points that fit it."""
+    sample_count = 100
     import cv2
 
     # The samples are the same every time: no result may depend on chance.
     rng = np.random.default_rng(len(world))
-    samples = [rng.choice(len(world), FEWEST, replace=False) for _ in range(SAMPLES)]
+    samples = [rng.choice(len(world), FEWEST, replace=False) for _ in range(sample_count)]
     poses = [pose for some in samples for pose in _poses(world[some], rays[some], cv2.SOLVEPNP_AP3P)]
     if not poses:
         return None

@@ -6,8 +6,6 @@ import numpy as np
 
 from photocal.base.arrays import Flags, Floats
 
-# Places whose second extent is a smaller share of their first lie too close to a line.
-LINE = 0.02
 FEWEST = 3
 # Triples that a robust similarity is sought among, and beyond how many medians a place does not fit it.
 SAMPLES, STRAY = 300, 4.0
@@ -41,12 +39,14 @@ def similarity(source: Floats, target: Floats) -> Similarity | None:
 
     returns: none for fewer than three places, or places in a line.
     """
+    # Places whose second extent is a smaller share of their first lie too close to a line.
+    line_share = 0.02
     if len(source) < FEWEST:
         return None
     middle, goal = source.mean(axis=0), target.mean(axis=0)
     a, b = source - middle, target - goal
     for extent in (np.linalg.svd(a, compute_uv=False), np.linalg.svd(b, compute_uv=False)):
-        if not extent[1] > LINE * extent[0]:
+        if not extent[1] > line_share * extent[0]:
             return None
     u, singular, vt = np.linalg.svd(b.T @ a)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])

@@ -8,9 +8,9 @@ import numpy as np
 from photocal.accuracy.assessment import Assessment, assess
 from photocal.accuracy.standard import Question, Standard
 from photocal.adjustment.envelope import on_one_thread
-from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, PhotocalError
+from photocal.base.policy import policy
 from photocal.block.model import Block, Role
 from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
@@ -204,4 +204,4 @@ def coarsely_placed(block: Block) -> bool:
     sigma = block.images.sigma[:, 3:]
     stated = sigma[np.isfinite(sigma).all(axis=1) & (sigma > 0.0).all(axis=1)]
     none_else = not len(block.positions.image) and not block.points.of_role("control").any()
-    return bool(none_else and len(stated) and np.median(stated[:, :2]) > policy.COARSE_M)
+    return bool(none_else and len(stated) and np.median(stated[:, :2]) > policy.coarse_m)

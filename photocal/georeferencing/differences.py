@@ -11,13 +11,13 @@ from scipy.linalg import block_diag
 from photocal.accuracy.discrepancies import Discrepancies
 from photocal.adjustment.ellipses import Ellipses, ellipses
 from photocal.adjustment.network import covariance_matrices
-from photocal.base import policy
 from photocal.base.arrays import Floats
+from photocal.base.policy import policy
 from photocal.block.model import ROLES, Block, Role
 from photocal.georeferencing.methods import Georeferenced
 
 # Two-sided 0.1 %, Baarda's usual choice (1968) for single tests.
-CRITICAL_W = float(-special.ndtri(policy.SIGNIFICANCE / 2.0))
+CRITICAL_W = float(-special.ndtri(policy.significance / 2.0))
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ class JointTest:
     @property
     def exceeds(self) -> bool:
         """Whether errors are larger than their covariance explains (0.1 %)."""
-        return self.p_value < policy.SIGNIFICANCE and self.chi_squared > self.degrees_of_freedom
+        return self.p_value < policy.significance and self.chi_squared > self.degrees_of_freedom
 
     @property
     def biased(self) -> bool:
         """Whether the mean is larger than its covariance explains (0.1 %)."""
-        return self.mean_p_value < policy.SIGNIFICANCE
+        return self.mean_p_value < policy.significance
 
 
 def joint_test(d: Floats, covariance: Floats) -> JointTest:
@@ -119,7 +119,7 @@ class Differences:
         tested = np.flatnonzero(np.isfinite(self.distance))
         p = special.chdtrc(3, self.distance[tested])
         order = np.argsort(p, kind="stable")
-        enough = p[order] <= policy.FAMILY_SIGNIFICANCE / np.arange(len(p), 0, -1)
+        enough = p[order] <= policy.family_significance / np.arange(len(p), 0, -1)
         rejected = tested[order[: len(p) if enough.all() else int(np.argmin(enough))]]
         return tuple(self.names[k] for k in sorted(rejected.tolist()))
 
@@ -180,7 +180,7 @@ def differences(block: Block, result: Georeferenced, role: Role) -> Differences:
     sigma = np.sqrt(np.diagonal(product, axis1=1, axis2=2))
     told = Differences(
         *(role, names, d, surveyed, sigma, stated, covariance, w, distance),
-        ellipses(product, policy.CONFIDENCE),
+        ellipses(product, policy.confidence),
     )
     if role == "check" and result.joint is not None and len(result.joint) == d.size:
         # Their survey is independent from point to point.

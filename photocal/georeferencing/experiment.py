@@ -12,10 +12,10 @@ import numpy as np
 from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from photocal.accuracy.statistics import BiasTest, bias_test, moments, rmse_after_trend_removal
-from photocal.base import policy
 from photocal.base.arrays import Floats, Integers, spread
 from photocal.base.checked_toml import Table, read_toml
 from photocal.base.errors import ConfigurationError, PhotocalError
+from photocal.base.policy import policy
 from photocal.block.model import Block
 from photocal.geometry.camera import Camera
 from photocal.georeferencing.differences import (
@@ -453,7 +453,7 @@ def _by_number(outcome: ExperimentOutcome) -> list[dict[str, Any]]:
                 "errors": len(d),
                 "rmse_m": dict(zip("XYZ", rms(d).tolist(), strict=True)),
                 "predicted_m": dict(zip("XYZ", rms(sigma).tolist(), strict=True)),
-                "within_95_percent": float(np.mean(np.abs(d) <= policy.TIMES_95 * sigma)),
+                "within_95_percent": float(np.mean(np.abs(d) <= policy.times_95 * sigma)),
             }
         )
     return rows

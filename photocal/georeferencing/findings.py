@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy import special
 
-from photocal.base import policy
+from photocal.base.policy import policy
 from photocal.findings.finding import FACTOR, Figure, Finding, Severity, untested
 from photocal.georeferencing.comparison import BlockCheck, Judged, coarsely_placed
 from photocal.georeferencing.differences import Differences
@@ -56,7 +56,7 @@ def _refused(check: BlockCheck) -> list[Finding]:
     meant = {"direct": positions and attitudes, "integrated": positions or attitudes, "indirect": True}
     # What should have been possible and is not has a cause that nobody has found.
     control = int(block.points.of_role("control").sum())
-    needed = {"direct": False, "integrated": True, "indirect": control >= policy.FEWEST_CONTROL}
+    needed = {"direct": False, "integrated": True, "indirect": control >= policy.fewest_control}
     return [
         Finding("no-control", "note")
         if method == "indirect" and without
@@ -96,7 +96,7 @@ def _together(method: Method, check: Differences) -> list[Finding]:
     """Judge all check points together: one by one they count again and again the errors that they share."""
     joint = check.joint
     if joint is None:
-        limit = _RATIO_DIRECT if method == "direct" else policy.WORTH_A_WORD
+        limit = _RATIO_DIRECT if method == "direct" else policy.worth_a_word
         figures: dict[str, Figure] = {"method": method, "ratio": check.ratio}
         return [Finding("prediction-too-good", "doubtful", method, figures)] if check.ratio > limit else []
     listed = []
@@ -120,10 +120,10 @@ def by_single_points(check: Differences) -> bool:
     Which points stand out is Holm's test over all of them, and whether the others agree the joint test of
     these at 95 %: an error of the block is in its points alike, by their covariance.
     """
-    few, rest = 0 < len(check.suspected) <= policy.SINGLE_POINTS * len(check.names), check.rest
+    few, rest = 0 < len(check.suspected) <= policy.single_points * len(check.names), check.rest
     if not few or rest is None:
         return False
-    return rest.p_value >= 1.0 - policy.CONFIDENCE or rest.chi_squared <= rest.degrees_of_freedom
+    return rest.p_value >= 1.0 - policy.confidence or rest.chi_squared <= rest.degrees_of_freedom
 
 
 def separation_findings(separation: Separation) -> tuple[Finding, ...]:

@@ -14,9 +14,6 @@ from photocal.geometry.distortion import slopes_of
 from photocal.geometry.resection import intersect
 from photocal.geometry.rotation import matrix_from_angles
 
-# Farther than any flight is from its ground points, in a local frame.
-_FAR_M = 50_000.0
-
 
 def ground_findings(block: Block) -> tuple[Finding, ...]:
     """Look for mistakes in the control and check points of a block."""
@@ -83,12 +80,14 @@ def _place_findings(block: Block, ground: ground_points.GroundPoints, system: An
 
 def _far_in_local_frame(ground: ground_points.GroundPoints, exposures: Floats) -> tuple[Finding, ...]:
     """Ground points far from the exposures, and the mistake that would bring them near."""
+    # Farther than any flight is from its ground points, in a local frame.
+    far_m = 50_000.0
     places = ground.xyz_m[np.isfinite(ground.xyz_m).all(axis=1)]
     if not len(places):
         return ()
     flight, middle = exposures[:, :2].mean(axis=0), places[:, :2].mean(axis=0)
     distance = float(np.hypot(*(middle - flight)))
-    if distance <= _FAR_M:
+    if distance <= far_m:
         return ()
     for code, cause, moved in (
         ("east-north-swapped", "near-when-swapped", middle[::-1]),
@@ -96,7 +95,7 @@ def _far_in_local_frame(ground: ground_points.GroundPoints, exposures: Floats) -
         ("metres-for-feet", "near-in-metres", middle / ground_points.FOOT_M),
     ):
         near = float(np.hypot(*(moved - flight)))
-        if near <= _FAR_M:
+        if near <= far_m:
             figures = {"far_km": distance / 1000.0, "near_km": near / 1000.0}
             return (Finding(code, "grave", figures=figures, cause=cause),)
     far = {"far_km": distance / 1000.0, "points": ground.names}

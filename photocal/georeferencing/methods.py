@@ -15,9 +15,9 @@ from photocal.adjustment.readout import READOUT, with_moving_images
 from photocal.adjustment.rig import LATER
 from photocal.adjustment.solution import GlobalTest, Solution, global_test
 from photocal.adjustment.state import State, start_state
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import ConfigurationError, IllPosedError, PhotocalError
+from photocal.base.policy import policy
 from photocal.block.model import ROLES, Block
 from photocal.block.motion import observed_motion
 from photocal.block.network import NetworkOfBlock, assemble
@@ -117,7 +117,7 @@ def without_weak_images(block: Block) -> tuple[Block, Flags]:
     weak = np.zeros(len(block.images.names), dtype=np.bool_)
     while True:
         rays = np.bincount(block.observations.image, minlength=len(weak))
-        more = (rays < policy.FEWEST_RAYS_OF_IMAGE) & ~weak
+        more = (rays < policy.fewest_rays_of_image) & ~weak
         if not more.any():
             break
         weak |= more

@@ -12,10 +12,10 @@ from photocal.accuracy.maps import check_figures, save_figures, write_geopackage
 from photocal.accuracy.output import remarks
 from photocal.accuracy.output import to_json as assessment_json
 from photocal.accuracy.standard import size_text
-from photocal.base import policy
 from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.files import output_folder, rows_text, write_json
 from photocal.base.geopackage import ReferenceSystem
+from photocal.base.policy import policy
 from photocal.findings.document import Paragraph, Piece, Remarks, Section, TablePart, markdown, table, text
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json
@@ -143,7 +143,7 @@ def _differences(differences: Differences) -> dict[str, Any]:
         "survey_m": _by_axis(differences.survey),
         "errors_over_prediction": differences.ratio,
         "critical_w": CRITICAL_W,
-        "ellipse_probability": policy.CONFIDENCE,
+        "ellipse_probability": policy.confidence,
         "joint": joint
         and {**as_plain(joint), "mean": _by_axis(joint.mean), "mean_sigma": _by_axis(joint.mean_sigma)},
         "points": [_point(differences, k) for k in range(len(differences.names))],

@@ -17,7 +17,6 @@ from photocal.geometry.camera import PARAMETERS, Camera
 # What is asked of a calibration flight: 1 m, 1 degree, 0.1 s, 1 m; the camera: 1 % of c, 0.1 s of readout.
 _SCALE_COMMON = np.array([1.0] * 3 + [np.radians(1.0)] * 3 + [0.1] + [1.0] * 3 + [0.0])
 _SCALE_CAMERA, _SCALE_READOUT = 0.01, 0.1
-_TAKES_PART = 0.1
 
 
 @dataclass(frozen=True)
@@ -78,13 +77,15 @@ def _scales(camera: Camera) -> Floats:
 
 def _groups(names: tuple[str, ...], covariance: Floats) -> tuple[tuple[str, ...], ...]:
     """Names that the undetermined directions tie together."""
+    # What has a smaller part in a direction without information has none in it.
+    takes_part = 0.1
     variances, vectors = np.linalg.eigh(covariance)
     # A direction is not determined when its standard deviation stays above this share of the scale.
     undetermined = 0.05
     open_ = vectors[:, variances > undetermined**2]
     projector = open_ @ open_.T
-    part = np.diag(projector) > _TAKES_PART
-    linked = (np.abs(projector) > _TAKES_PART) & part[:, None] & part[None, :]
+    part = np.diag(projector) > takes_part
+    linked = (np.abs(projector) > takes_part) & part[:, None] & part[None, :]
     _, label = connected_components(csr_array(linked), directed=False)
     groups: dict[int, list[str]] = {}
     for name, group, has in zip(names, label.tolist(), part.tolist(), strict=True):

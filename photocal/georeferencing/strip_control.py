@@ -4,14 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from photocal.base import policy
 from photocal.base.arrays import Floats, Integers
+from photocal.base.policy import policy
 from photocal.block.model import Block
 from photocal.block.motion import lines_of_places
 from photocal.findings.finding import Finding
-
-# Shorter ones are turns.
-_FEWEST_IMAGES = 3
 
 
 def control_by_strip(block: Block, names: Sequence[str], strip: Integers) -> list[dict[str, int]]:
@@ -35,16 +32,18 @@ def strip_findings(block: Block, exposures: Floats) -> tuple[Finding, ...]:
 
     exposures (images, 6): adjusted; NaN where there is none.
     """
+    # Shorter ones are turns.
+    fewest_images = 3
     stated = block.images.sigma[:, 3:5]
-    held = len(block.positions.image) > 0 or (np.isfinite(stated) & (stated < policy.COARSE_M)).any()
+    held = len(block.positions.image) > 0 or (np.isfinite(stated) & (stated < policy.coarse_m)).any()
     known = np.flatnonzero(np.isfinite(exposures).all(axis=1))
-    if held or len(block.cameras) > 1 or len(known) < 2 * _FEWEST_IMAGES:
+    if held or len(block.cameras) > 1 or len(known) < 2 * fewest_images:
         return ()
     time = block.images.time[known]
     order = known[np.argsort(time, kind="stable")] if np.isfinite(time).all() else known
     strip = lines_of_places(exposures[order, 3:])
     names = [block.images.names[k] for k in order]
-    rows = [row for row in control_by_strip(block, names, strip) if row["images"] >= _FEWEST_IMAGES]
+    rows = [row for row in control_by_strip(block, names, strip) if row["images"] >= fewest_images]
     bare = [row for row in rows if not row["control_points"]]
     if not bare or len(bare) == len(rows):
         return ()

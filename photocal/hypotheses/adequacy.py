@@ -16,8 +16,8 @@ from photocal.adjustment.groups import GroupTest, tested
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import other_equations
 from photocal.adjustment.solution import Solution
-from photocal.base import policy
 from photocal.base.arrays import Floats, Integers
+from photocal.base.policy import policy
 
 # An image is divided into so many cells each way, to see what neighbouring rays share.
 _CELLS = 3
@@ -43,7 +43,7 @@ class Adequacy:
     @property
     def passes(self) -> bool:
         """Whether nothing is left that asks for a cause."""
-        return not self.groups and (self.pattern <= policy.PATTERN or self.factor <= policy.EQUIVALENT**2)
+        return not self.groups and (self.pattern <= policy.pattern or self.factor <= policy.equivalent**2)
 
 
 def fit_of(adjusted: AdjustedNetwork) -> Adequacy:
@@ -56,12 +56,12 @@ def fit_of(adjusted: AdjustedNetwork) -> Adequacy:
 def groups_of_ground(solution: Solution) -> list[GroupTest]:
     """Test positions, attitudes and control against their stated standard deviations."""
     groups = (group for group in solution.groups if group.name in GROUPS)
-    return [tested(g) for g in groups if g.redundancy >= policy.FEWEST_REDUNDANT and g.chi_squared > 0.0]
+    return [tested(g) for g in groups if g.redundancy >= policy.fewest_redundant and g.chi_squared > 0.0]
 
 
 def _passes(test: GroupTest) -> bool:
     above = float(special.chdtrc(test.redundancy, test.chi_squared))
-    return above >= policy.SIGNIFICANCE or test.factor <= policy.WORTH_A_WORD
+    return above >= policy.significance or test.factor <= policy.worth_a_word
 
 
 def _pattern(adjusted: AdjustedNetwork) -> tuple[float, float]:
@@ -70,9 +70,9 @@ def _pattern(adjusted: AdjustedNetwork) -> tuple[float, float]:
     w = (
         solution.residuals
         / network.rays.sigma
-        / np.sqrt(np.maximum(solution.redundancy, policy.LEAST_CHECKED))
+        / np.sqrt(np.maximum(solution.redundancy, policy.least_checked))
     )
-    used = (solution.redundancy > policy.LEAST_CHECKED).all(axis=1)
+    used = (solution.redundancy > policy.least_checked).all(axis=1)
     if used.sum() < 4:
         return 0.0, 1.0
     w, image = w[used], network.rays.image[used]
@@ -90,7 +90,7 @@ def _pattern(adjusted: AdjustedNetwork) -> tuple[float, float]:
     noise = (total - between) / (rays - cells)
     f = between / cells / max(noise, 1e-300)
     # The unknowns of the images take some of what cells have in common: F is cautious.
-    if special.fdtrc(cells, rays - cells, f) >= policy.SIGNIFICANCE:
+    if special.fdtrc(cells, rays - cells, f) >= policy.significance:
         return 0.0, total / rays
     return max(0.0, between - cells * noise) / total, noise
 
@@ -112,12 +112,12 @@ class Memory:
     @property
     def significant(self) -> bool:
         """Whether the positions share their errors."""
-        return self.correlation > 0.0 and self.p_value < policy.SIGNIFICANCE
+        return self.correlation > 0.0 and self.p_value < policy.significance
 
     @property
     def likely(self) -> bool:
         """Whether that is likely enough not to call their errors independent."""
-        return self.correlation > 0.0 and self.p_value < policy.REPEAT_SIGNIFICANCE
+        return self.correlation > 0.0 and self.p_value < policy.repeat_significance
 
     @property
     def exceeds(self) -> bool:
@@ -125,7 +125,7 @@ class Memory:
 
         Whoever states sigmas with caution has room for what positions share.
         """
-        return self.size * math.sqrt(self.inflation) > 1.0 + policy.WRONG_SIGMA
+        return self.size * math.sqrt(self.inflation) > 1.0 + policy.wrong_sigma
 
     @property
     def inflation(self) -> float:
@@ -138,18 +138,18 @@ def memory_of(adjusted: AdjustedNetwork) -> Memory | None:
     """Compare each position's residual with that of the next exposure; None for too few of them."""
     network = adjusted.network
     positions = network.positions
-    if len(positions.image) < 2 * policy.SMALLEST_SAMPLE:
+    if len(positions.image) < 2 * policy.smallest_sample:
         return None
     residual = other_equations(adjusted.factored.problem, adjusted.state)["position"].residual.reshape(-1, 3)
     order = np.lexsort((_moment(network, positions.image), positions.strip))
     residual, strip = residual[order], positions.strip[order]
     # A few gross ones are no memory.
-    spread = np.median(np.abs(residual), axis=0) * policy.MAD_TO_SIGMA
-    limit = policy.TIMES_999 * np.where(spread > 0.0, spread, np.inf)
+    spread = np.median(np.abs(residual), axis=0) * policy.mad_to_sigma
+    limit = policy.times_999 * np.where(spread > 0.0, spread, np.inf)
     residual = np.clip(residual, -limit, limit)
     together = strip[1:] == strip[:-1]
     pairs = int(together.sum())
-    if pairs < policy.SMALLEST_SAMPLE:
+    if pairs < policy.smallest_sample:
         return None
     square = np.mean(residual**2, axis=0)
     scaled = residual / np.sqrt(np.where(square > 0.0, square, 1.0))

@@ -10,9 +10,9 @@ from photocal.adjustment.near import Removals
 from photocal.adjustment.normal import values_of
 from photocal.adjustment.removed import FEWEST, groups_of, standard_error, state_without
 from photocal.adjustment.score import followed_by, score
-from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.base.policy import policy
 from photocal.hypotheses.fields import LEFT, RayField
 
 
@@ -28,7 +28,7 @@ def agreed(fit: AdjustedNetwork, field: RayField, amount: float) -> float:
     freedom = images - int(camera.estimated.sum()) - 1
     if freedom >= FEWEST:
         scored = score(fit.factored, fit.solution.residuals, -field.displacement[None])
-        checked = np.maximum(fit.solution.redundancy, policy.LEAST_CHECKED)
+        checked = np.maximum(fit.solution.redundancy, policy.least_checked)
         shown = -field.displacement - followed_by(fit.factored, scored.steps, scored.moved)[0]
         # What the error itself makes of the residuals says nothing of how images differ about it.
         weighed = (fit.solution.residuals + amount * shown) / np.sqrt(checked)

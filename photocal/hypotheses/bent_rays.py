@@ -4,8 +4,8 @@ import numpy as np
 
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
-from photocal.base import policy
 from photocal.base.arrays import Floats, Integers
+from photocal.base.policy import policy
 from photocal.block.bending import apparent_rise
 from photocal.hypotheses.fields import RayField
 
@@ -18,7 +18,7 @@ def bent_rays(network: Network, state: State) -> tuple[RayField, ...]:
     image, point = network.rays.image, network.rays.point
     apart = state.points[point] - state.centre[image]
     camera_of_ray, listed = network.exposures.camera[image], list[RayField]()
-    for code, refraction, most in (("refraction", 1.0, policy.REFRACTION), ("earth-curvature", 0.0, 1.0)):
+    for code, refraction, most in (("refraction", 1.0, policy.refraction), ("earth-curvature", 0.0, 1.0)):
         rise = apparent_rise(apart, refraction, curved=not refraction)
         raised = _raised(state, state.cameras[camera_of_ray, :1], image, apart, rise)
         for k in range(len(network.cameras)):

@@ -13,9 +13,9 @@ from photocal.adjustment.factored import factored
 from photocal.adjustment.groups import Member, member_tests
 from photocal.adjustment.mounting import COMMON, SHIFT, STRIPS, Mounting
 from photocal.adjustment.network import Network
-from photocal.base import policy
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError
+from photocal.base.policy import policy
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.hypotheses.bent_rays import bent_rays
 from photocal.hypotheses.control import Contradiction, control_points
@@ -26,7 +26,7 @@ from photocal.hypotheses.table import FAULTS, Fault
 # So many positions and control points, the most contradicted ones, are looked at beside all else.
 _MOST_POSITIONS, _MOST_CONTROL = 8, 24
 # What nature bounds is looked for where its largest amount would be found in 80 % of cases (Baarda 1968).
-_FOUND = float(special.ndtri(1.0 - policy.SIGNIFICANCE / 2.0) + special.ndtri(policy.POWER)) ** 2
+_FOUND = float(special.ndtri(1.0 - policy.significance / 2.0) + special.ndtri(policy.power)) ** 2
 # Powers of the radius, for weak observations of coefficients.
 _POWERS = {"K1": 2, "K2": 4, "K3": 6, "K4": 8, "P1": 1, "P2": 1, "P3": 3, "P4": 5, "B1": 0, "B2": 0}
 
@@ -252,7 +252,7 @@ def _trends(network: Network, table: Sequence[Fault]) -> dict[Fault, Floats]:
     entries = {entry.code: entry for entry in table if entry.each == "trend"}
     # A scale needs two places.
     least_scaled = 2
-    if len(network.positions.image) < policy.SMALLEST_SAMPLE or len(control_points(network)) < least_scaled:
+    if len(network.positions.image) < policy.smallest_sample or len(control_points(network)) < least_scaled:
         return {}
     away = network.positions.values - network.positions.values.mean(axis=0)
     known = {"positions-scale": away * [1.0, 1.0, 0.0]}
@@ -331,7 +331,7 @@ def _of_control(
     if "point" not in of:
         return []
     count = len(control_points(network))
-    enough = count >= policy.FEWEST_CONTROL_TO_BLAME
+    enough = count >= policy.fewest_control_to_blame
     listed = [
         Cause(of["point"], network.point_names[j], columns, choices=count, members=(j,), unknowns=3)
         for j, columns in place.items()

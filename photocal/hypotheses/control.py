@@ -14,9 +14,9 @@ from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
-from photocal.base import policy
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import PhotocalError
+from photocal.base.policy import policy
 
 # Weak observations of what control would have determined: share of c; lever arm (m), boresight (rad), time
 # offset (s); the shift is free.
@@ -122,7 +122,7 @@ def survey_covariance(network: Network, control: Integers) -> Floats:
 def predicted(network: Network) -> Predicted | None:
     """Adjust without control, and give the places of its points; None where that cannot be."""
     control = control_points(network)
-    if len(control) < policy.FEWEST_CONTROL_TO_BLAME:
+    if len(control) < policy.fewest_control_to_blame:
         return None
     alone = without_control(network)
     if not len(network.positions.image):
@@ -155,7 +155,7 @@ def predicted(network: Network) -> Predicted | None:
 
 def contradiction(seen: Predicted) -> Contradiction | WrongSigmas | None:
     """Find two points that changed places, or the fewest that contradict the others; None if not clear."""
-    if len(seen.d) < policy.FEWEST_CONTROL_TO_BLAME:
+    if len(seen.d) < policy.fewest_control_to_blame:
         return None
     pair = _exchange(seen)
     if pair is not None:
@@ -165,14 +165,14 @@ def contradiction(seen: Predicted) -> Contradiction | WrongSigmas | None:
         return None
     likelier = _scale_beside_points(seen, removed, axes)
     if likelier > 0.0:
-        return WrongSigmas(as_points=likelier <= policy.AS_GOOD)
+        return WrongSigmas(as_points=likelier <= policy.as_good)
     error, spread = zip(
         *(_beside_others(seen.d, seen.covariance, seen.common, removed, k) for k in removed), strict=True
     )
     sigma = np.sqrt(np.diagonal(np.array(spread), axis1=1, axis2=2))
     found = _contradiction(seen, removed, np.array(error), sigma)
     # The more points are blamed, the more each of them must be told from a factor of all.
-    return replace(found, as_scale=-likelier <= policy.AS_GOOD * len(removed))
+    return replace(found, as_scale=-likelier <= policy.as_good * len(removed))
 
 
 def _scale_beside_points(seen: Predicted, removed: tuple[int, ...], axes: tuple[int, ...]) -> float:
@@ -207,7 +207,7 @@ def _likelihood(seen: Predicted, covariance: Floats) -> float:
 def _contradiction(
     seen: Predicted, rows: tuple[int, ...], error: Floats, sigma: Floats, *, exchanged: bool = False
 ) -> Contradiction:
-    away = special.ndtri(policy.POWER) - special.ndtri(policy.SIGNIFICANCE / 2)
+    away = special.ndtri(policy.power) - special.ndtri(policy.significance / 2)
     points = tuple(int(seen.points[k]) for k in rows)
     count = len(list(combinations(range(len(seen.d)), len(rows))))
     return Contradiction(points, exchanged, error, sigma, error / sigma, away * sigma, count)
@@ -217,7 +217,7 @@ def _exchange(seen: Predicted) -> Contradiction | None:
     """Two points whose coordinates, exchanged, make all agree, and as they are do not."""
     n = len(seen.d)
     freedom = seen.d.size - seen.common.shape[1]
-    limit = float(special.chdtri(freedom, policy.SIGNIFICANCE))
+    limit = float(special.chdtri(freedom, policy.significance))
     now = misfit(seen.d, seen.covariance, seen.common, ())
     if now <= limit:
         return None
@@ -229,9 +229,9 @@ def _exchange(seen: Predicted) -> Contradiction | None:
     best, i, j = min(tried)
     # As good as removing both: an exchange has no unknown.
     removed = misfit(seen.d, seen.covariance, seen.common, (i, j))
-    if best > limit and best - removed > float(special.chdtri(6, policy.SIGNIFICANCE)):
+    if best > limit and best - removed > float(special.chdtri(6, policy.significance)):
         return None
-    if now - best < float(special.chdtri(6, policy.SIGNIFICANCE / len(tried))):
+    if now - best < float(special.chdtri(6, policy.significance / len(tried))):
         return None
     error = seen.given[[j, i]] - seen.given[[i, j]]
     spread = [_beside_others(seen.d, seen.covariance, seen.common, (i, j), k)[1] for k in (i, j)]
@@ -247,7 +247,7 @@ def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[tuple[
     (0.1 %, divided by the choices); of the kinds the most probable (Schwarz 1978).
     """
     n, freedom, nobody = len(d), d.size - common.shape[1], (tuple[int, ...](), _ALL_AXES)
-    if freedom < 1 or misfit(d, covariance, common, ()) <= special.chdtri(freedom, policy.SIGNIFICANCE):
+    if freedom < 1 or misfit(d, covariance, common, ()) <= special.chdtri(freedom, policy.significance):
         return nobody
     options = list[tuple[float, tuple[int, ...], tuple[int, ...], bool]]()
     for axes in _WRONG:
@@ -259,12 +259,12 @@ def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[tuple[
             subsets = _subsets(n, best, size)
             tried = sorted((misfit(d, covariance, common, rows, axes), rows) for rows in subsets)
             least, best = tried[0]
-            chance = special.chdtri(len(axes), policy.SIGNIFICANCE / (n - size + 1))
-            if least > special.chdtri(left, policy.SIGNIFICANCE) or agreed - least < chance:
+            chance = special.chdtri(len(axes), policy.significance / (n - size + 1))
+            if least > special.chdtri(left, policy.significance) or agreed - least < chance:
                 continue
             agreed = least
             # Of points that disagree nobody knows which one is wrong.
-            apart = float(special.chdtri(len(axes), policy.SIGNIFICANCE))
+            apart = float(special.chdtri(len(axes), policy.significance))
             clear = len(tried) == 1 or tried[1][0] - least >= apart
             chosen = (_cost(d, covariance, common, best, axes), best, axes, clear)
             options = [one for one in options if one[2] != axes] + [chosen]
@@ -304,9 +304,9 @@ def _scaled(d: Floats, covariance: Floats, common: Floats) -> tuple[int, ...]:
         )
         (best, k), (second, _) = tries[:2]
         scale = max(best / rest, 1.0)
-        if (chi_squared - best) / 3.0 / scale <= special.fdtri(3, rest, 1.0 - policy.SIGNIFICANCE / n):
+        if (chi_squared - best) / 3.0 / scale <= special.fdtri(3, rest, 1.0 - policy.significance / n):
             return removed
-        if second - best < special.chdtri(3, policy.SIGNIFICANCE) * scale:
+        if second - best < special.chdtri(3, policy.significance) * scale:
             return ()
         removed, chi_squared = (*removed, k), best
     return removed
@@ -351,7 +351,7 @@ def slips(given: Floats, wanted: Floats, sigma: Floats, system: str) -> tuple[st
 
     returns: "code axis given wanted" each.
     """
-    tolerance = policy.SLIP_SIGMAS * sigma
+    tolerance = policy.slip_sigmas * sigma
     zone = _zone_slip(given, wanted, tolerance, system)
     if zone:
         return (f"zone X {zone}",)
@@ -359,7 +359,7 @@ def slips(given: Floats, wanted: Floats, sigma: Floats, system: str) -> tuple[st
     if not told:
         return ()
     rng = np.random.default_rng(1)
-    as_close = np.minimum(max(away, 1.0), policy.SLIP_SIGMAS) * sigma
+    as_close = np.minimum(max(away, 1.0), policy.slip_sigmas) * sigma
     error = wanted - given
     wrong = np.abs(error) > tolerance
     size = np.exp(rng.uniform(-0.7, 0.7, (DRAWS, 3))) * np.abs(error) * rng.choice([-1.0, 1.0], (DRAWS, 3))

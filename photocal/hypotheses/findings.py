@@ -10,8 +10,8 @@ from scipy.special import chdtri, ndtri
 
 from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.groups import CONTROL, GroupTest
-from photocal.base import policy
 from photocal.base.arrays import Floats
+from photocal.base.policy import policy
 from photocal.findings.digits import with_sigma
 from photocal.findings.finding import Figure, Finding, Severity, Size
 from photocal.findings.harm import Asked, harmful_from, weighed
@@ -78,7 +78,7 @@ def stated_sigma(group: GroupTest) -> Finding:
     figures = {"group": group.name, "factor": group.factor, "lower": group.lower, "upper": group.upper}
     size = Size(group.factor, "1")
     if group.factor > 1.0:
-        severity: Severity = "doubtful" if group.factor > policy.SMALL_RATIO else "note"
+        severity: Severity = "doubtful" if group.factor > policy.small_ratio else "note"
         return Finding("sigmas-too-small", severity, group.name, figures, size=size)
     return Finding("sigmas-too-large", "note", group.name, figures, size=size)
 
@@ -96,7 +96,7 @@ def named(found: SystematicErrors, slips: Slips = no_slips) -> list[Finding]:
     if not found.errors:
         return []
     gravest = max(found.errors, key=lambda error: error.hypothesis.gain)
-    limit = policy.MINOR_GAIN * gravest.hypothesis.gain
+    limit = policy.minor_gain * gravest.hypothesis.gain
     minor = tuple(dict.fromkeys(e.hypothesis.name for e in found.errors if e.hypothesis.gain < limit))
     listed = list[Finding]()
     for error in found.errors:
@@ -203,7 +203,7 @@ def _shift(error: SystematicError) -> Finding | None:
     """A shift common to all positions: of the height alone, or of the base."""
     axes = {estimate.name.removeprefix("shift_"): estimate for estimate in error.hypothesis.estimates}
     noteworthy = {
-        axis for axis, e in axes.items() if e.significant and abs(e.correction) > policy.OTHER_PLACE_M
+        axis for axis, e in axes.items() if e.significant and abs(e.correction) > policy.other_place_m
     }
     if noteworthy == {"z"}:
         z = axes["z"]
@@ -234,7 +234,7 @@ def swapped_axes(estimates: tuple[Estimate, ...]) -> Finding | None:
     value = np.array([estimate.value for estimate in estimates])
     given = value - np.array([estimate.correction for estimate in estimates])
     sigma = np.array([estimate.sigma for estimate in estimates])
-    limit = float(chdtri(len(value), 1.0 - policy.CONFIDENCE))
+    limit = float(chdtri(len(value), 1.0 - policy.confidence))
     best: tuple[int, float, tuple[str, ...]] | None = None
     for order in permutations(range(3)):
         for sign in product((1.0, -1.0), repeat=3):
@@ -263,7 +263,7 @@ def _changes(order: tuple[int, ...], sign: tuple[float, ...]) -> tuple[str, ...]
 def _scale(error: SystematicError, trend: Floats, factor: float) -> Finding:
     """A scale of the positions against control, held against the combined factor of a map frame."""
     (scale,) = error.hypothesis.estimates
-    clauses, unsure = ["scale-of-ground"], policy.TIMES_999 * scale.sigma
+    clauses, unsure = ["scale-of-ground"], policy.times_999 * scale.sigma
     if math.isfinite(factor):
         # Control of the ground, taken for that of the map, is too long; positions are too short against it.
         as_ground = abs(scale.correction - (factor - 1.0)) <= unsure
@@ -296,7 +296,7 @@ def _strip(found: SystematicErrors, error: SystematicError) -> Finding:
 
 def _mistyped(error: SystematicError, cause: Cause, slips: Slips, rivals: tuple[str, ...]) -> list[Finding]:
     """Name each control point that contradicts the others: with w, and what would have been detected."""
-    away = ndtri(policy.POWER) - ndtri(policy.SIGNIFICANCE / 2)
+    away = ndtri(policy.power) - ndtri(policy.significance / 2)
     listed = []
     for k, point in enumerate(cause.subject.split(" ")):
         own = error.hypothesis.estimates[3 * k : 3 * k + 3]
@@ -344,8 +344,8 @@ def _of_model(found: SystematicErrors, error: SystematicError) -> Finding:
     left, share_c = _left_px(found, at), abs(change) / abs(c)
     moved = in_sigmas(first, last.solution.points - first.solution.points)
     felt = (
-        abs(change) >= policy.SMALL_SIGMAS * sigma_c > 0.0 and share_c >= policy.SMALL_SHARE
-    ) or moved >= policy.SMALL_MOVE
+        abs(change) >= policy.small_sigmas * sigma_c > 0.0 and share_c >= policy.small_share
+    ) or moved >= policy.small_move
     ground = ground_effect(first, at, change)
     px = abs(estimate.correction) * field.displacement / np.array(camera.pitch)
     effect = float(np.linalg.norm(px, axis=1).max(initial=0.0))
@@ -384,7 +384,7 @@ def _of_model(found: SystematicErrors, error: SystematicError) -> Finding:
             figures |= {"pitch_x": camera.pitch[0], "pitch_y": camera.pitch[1]}
     clauses += ["up_to", *["shifts_c"] * bool(change), *["alike"] * bool(fields), *["same"] * bool(others)]
     size = Size(figure, unit, estimate.sigma, change, ground, effect)
-    small = left < policy.SMALL_PX and not felt
+    small = left < policy.small_px and not felt
     severity: Severity = "note" if small else "doubtful"
     if felt and cause.fault.code in _GRAVE and found.adequate and not small:
         severity = "grave"
@@ -452,7 +452,7 @@ def _unexplained(found: SystematicErrors) -> Finding:
     }
     clauses = ("explains-part",) if shares else ()
     # The standard deviations say nothing of what is behind so large a misfit.
-    severity: Severity = "grave" if factor > policy.WORTH_A_WORD else "doubtful"
+    severity: Severity = "grave" if factor > policy.worth_a_word else "doubtful"
     return Finding("unexplained", severity, "", figures, clauses, Size(factor, "1"))
 
 

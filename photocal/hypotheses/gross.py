@@ -9,9 +9,9 @@ from photocal.adjustment.adjusted import AdjustedNetwork, fit
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
 from photocal.adjustment.snooping import significance_of
-from photocal.base import policy
 from photocal.base.arrays import Flags
 from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.base.policy import policy
 from photocal.hypotheses.control import control_points
 
 # Rounds of gross rays, and the share of the rays of an image or point that is no longer single.
@@ -83,14 +83,14 @@ def _fitting(given: AdjustedNetwork) -> Flags:
     network = given.network
     aside = network.rays.sigma[:, 0] > ASIDE / 2.0 * np.median(network.rays.sigma[:, 0])
     w = np.abs(given.solution.residuals / network.rays.sigma) * ASIDE
-    return np.asarray(aside & (w.max(axis=1) < policy.TIMES_999))
+    return np.asarray(aside & (w.max(axis=1) < policy.times_999))
 
 
 def gross_rays(adjusted: AdjustedNetwork) -> Flags:
     """Single rays that miss by more than chance allows, on the scale of the others."""
     network = adjusted.network
     w = np.abs(np.nan_to_num(adjusted.solution.standardised(network.rays.sigma)))
-    scale = max(1.0, float(np.median(w)) * policy.MAD_TO_SIGMA)
+    scale = max(1.0, float(np.median(w)) * policy.mad_to_sigma)
     limit = -special.ndtri(significance_of(w.size) / w.size / 2.0) * scale if w.size else np.inf
     far = np.asarray(w.max(axis=1, initial=0.0) > limit)
     # A whole image is another matter than rays.

@@ -10,8 +10,8 @@ from scipy import special
 from photocal.adjustment.covariance import Shared
 from photocal.adjustment.network import Network
 from photocal.adjustment.solution import Solution
-from photocal.base import policy
 from photocal.base.arrays import Floats
+from photocal.base.policy import policy
 from photocal.geometry.camera import PARAMETERS
 from photocal.hypotheses.causes import Candidates, Cause, columns_of, common_columns, of_camera
 from photocal.hypotheses.control import control_points
@@ -82,7 +82,7 @@ def stated_of(shared: Shared, network: Network) -> Stated:
 
 def limit_of(cause: Cause, families: int) -> float:
     """Level of one test: the families of a table share it (Holm 1979), and all choices within one."""
-    return policy.FAMILY_SIGNIFICANCE / families / cause.choices
+    return policy.family_significance / families / cause.choices
 
 
 def judge(
@@ -119,7 +119,7 @@ def judge(
         cause.fault.code, gain, factor, cause.unknowns, f, critical, f > critical, (), 0.0, 0.0,
         cause.subject, p_value, gain / max(scale, 1e-300) - cost,
     )  # fmt: skip
-    return detailed(these, empty, cause, others, stated) if f > policy.SCREENED * critical else empty
+    return detailed(these, empty, cause, others, stated) if f > policy.screened * critical else empty
 
 
 def _scatter(solution: Solution, cause: Cause, gain: float) -> float:
@@ -131,7 +131,7 @@ def _scatter(solution: Solution, cause: Cause, gain: float) -> float:
     if cause.fault.where[0] not in ("positions", "control"):
         return 1.0
     group = next((group for group in solution.groups if group.name == name), None)
-    if group is None or group.redundancy - cause.unknowns < policy.FEWEST_REDUNDANT:
+    if group is None or group.redundancy - cause.unknowns < policy.fewest_redundant:
         return 1.0
     return max(1.0, (group.chi_squared - gain) / (group.redundancy - cause.unknowns))
 
@@ -164,7 +164,7 @@ def moved_surely(c_before: Floats, had: Floats, c: Floats, has: Floats, stated: 
     """See `_moved_surely`: values and standard deviations before and after, and as they were stated."""
     change = np.abs(c - c_before)
     spread = np.sqrt(np.maximum(has**2 - had**2, 0.0))
-    sure = (had > 0.0) & (change > -special.ndtri(policy.SIGNIFICANCE / 2.0) * spread)
+    sure = (had > 0.0) & (change > -special.ndtri(policy.significance / 2.0) * spread)
     wider = stated.sigma_c > had
     moved = np.where(wider, np.abs(c - stated.c), change)
     sigma = np.maximum(stated.sigma_c, had)
@@ -189,13 +189,13 @@ def positions_moved(network: Network, solution: Shared, cause: Cause, stated: St
         n = len(columns) // len(entry.frees)
         against = np.kron(np.eye(n) - (1.0 - np.eye(n)) / (n - 1), np.eye(len(entry.frees)))
         moved, covariance = against @ moved, against @ covariance @ against.T
-    sure = np.abs(moved) > -special.ndtri(policy.SIGNIFICANCE / 2.0) * np.sqrt(np.diag(covariance))
+    sure = np.abs(moved) > -special.ndtri(policy.significance / 2.0) * np.sqrt(np.diag(covariance))
     return float(np.max(np.abs(moved) / scale, where=sure, initial=0.0))
 
 
 def estimate(name: str, unit: str, value: float, given: float, sigma: float) -> Estimate:
     """A freed value with its sigma and its test against the given one."""
-    critical = float(-special.ndtri(policy.SIGNIFICANCE / 2.0))
+    critical = float(-special.ndtri(policy.significance / 2.0))
     t = (value - given) / sigma if sigma > 0 else 0.0
     return Estimate(name, unit, value - given, value, sigma, t, abs(t) > critical)
 

@@ -18,9 +18,9 @@ from photocal.adjustment.groups import CONTROL, GroupTest, Member, group_tests
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
 from photocal.adjustment.solution import Solution
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.base.policy import policy
 from photocal.hypotheses.adequacy import Adequacy, Memory, fit_of, groups_of_ground, memory_of
 from photocal.hypotheses.causes import (
     Candidates,
@@ -89,7 +89,7 @@ class SystematicErrors:
     @property
     def adequate(self) -> bool:
         """Whether what was found may be called a cause: the model with it passes, or leaves hardly any."""
-        return self.fit.passes or self.explained >= policy.EXPLAINED
+        return self.fit.passes or self.explained >= policy.explained
 
 
 def straightened(network: Network) -> SystematicErrors | None:
@@ -156,7 +156,7 @@ def systematic_errors(
         rest = search.these.left() if turn else {}
         # What gains little beside the gravest may be what linear equations leave of it: no adjustment asks.
         gravest = max((error.hypothesis.gain for error in errors), default=0.0)
-        small = all(error.hypothesis.gain < policy.MINOR_GAIN * gravest for error in errors[len(confirmed) :])
+        small = all(error.hypothesis.gain < policy.minor_gain * gravest for error in errors[len(confirmed) :])
         if not rest and (not accepted or (turn and small)):
             break
         tried = _confirmed(last, search.these, accepted, rest)
@@ -264,8 +264,8 @@ def _contradicted(given: AdjustedNetwork) -> Contradiction | WrongSigmas | None:
     w = given.solution.standardised(rays.sigma)[surveyed]
     of_rays = float(np.nanmean(w**2)) if surveyed.any() else 1.0
     usual = max(given.solution.variance_factor if not surveyed.all() else 1.0, 1.0)
-    far = np.nanmax(np.abs(w), initial=0.0) > policy.TIMES_999 * np.sqrt(usual)
-    if not far and (control is None or control.p_value >= policy.SIGNIFICANCE or control.factor < 1.0):
+    far = np.nanmax(np.abs(w), initial=0.0) > policy.times_999 * np.sqrt(usual)
+    if not far and (control is None or control.p_value >= policy.significance or control.factor < 1.0):
         return None
     if of_rays < 1.0 and control is None:
         return None
@@ -304,7 +304,7 @@ def _wrong_sigma(
             if abs(test.factor - 1.0) > _SETTLED:
                 return test
             continue
-        if test.p_value >= policy.SIGNIFICANCE or abs(test.factor - 1.0) < policy.WRONG_SIGMA:
+        if test.p_value >= policy.significance or abs(test.factor - 1.0) < policy.wrong_sigma:
             continue
         if scaled is False and test.name in CONTROL:
             continue
@@ -314,7 +314,7 @@ def _wrong_sigma(
         if (
             not preferred
             and test.factor > 1.0
-            and (test.gain - unknown <= cause or gain >= policy.EXPLAINED_GROUP * too_large)
+            and (test.gain - unknown <= cause or gain >= policy.explained_group * too_large)
         ):
             continue
         shared = test.name == "position" and memory is not None and memory.likely

@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from photocal.base import policy
 from photocal.base.errors import IllPosedError
+from photocal.base.policy import policy
 from photocal.hypotheses.agreement import agreed
 from photocal.hypotheses.causes import Candidates, Cause
 from photocal.hypotheses.judged import Hypothesis, Stated, judge
@@ -104,7 +104,7 @@ class Selection:
         if cause.key not in self._agreed:
             first, *rest = tested.estimates
             amount = rest[0].value - first.value if rest else first.correction
-            level = policy.FAMILY_SIGNIFICANCE / self._families / cause.choices
+            level = policy.family_significance / self._families / cause.choices
             self._agreed[cause.key] = agreed(self.these.adjusted, cause.field, amount) < level
         return self._agreed[cause.key]
 
@@ -155,7 +155,7 @@ class Selection:
 def as_good(cause: Cause, best: Hypothesis, tries: dict[Cause, Hypothesis]) -> tuple[Hypothesis, ...]:
     """Give the other hypotheses that explain nearly all of what the best explains."""
     scale = max(1.0, min((trial.factor for trial in tries.values()), default=1.0))
-    limit = min(best.gain - policy.AS_GOOD * scale, policy.SAME_GAIN * best.gain)
+    limit = min(best.gain - policy.as_good * scale, policy.same_gain * best.gain)
     alike = []
     for other, trial in tries.items():
         # A shift of its own for each strip can imitate every other error; parts and wholes are one matter.
@@ -199,7 +199,7 @@ def _possible(cause: Cause, tested: Hypothesis) -> bool:
     if (cause.field is None and cause.trend is None) or not tested.estimates:
         return True
     # Without its own amount a trend is the shift that goes with it, which has a name of its own.
-    amount, unsure = tested.estimates[0].correction, policy.TIMES_999 * tested.estimates[0].sigma
+    amount, unsure = tested.estimates[0].correction, policy.times_999 * tested.estimates[0].sigma
     if cause.fault.code == "rolling-shutter":
         # Rows are read one after the other, never backwards.
         return amount > 0.0
@@ -213,5 +213,5 @@ def _noteworthy(cause: Cause, tested: Hypothesis) -> bool:
     """Whether an error is larger than what was stated of positions, or of one camera, allows."""
     if cause.fault.each == "part" and tested.estimates:
         before, after = tested.estimates[0].value, tested.estimates[1].value
-        return abs(after - before) / before > policy.OTHER_C
-    return max(tested.moved, tested.on_c) > policy.STATED
+        return abs(after - before) / before > policy.other_c
+    return max(tested.moved, tested.on_c) > policy.stated

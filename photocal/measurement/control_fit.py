@@ -10,7 +10,7 @@ from itertools import combinations, islice
 import numpy as np
 
 from photocal.base.arrays import Flags, Floats, Integers
-from photocal.base.policy import FEWEST_CONTROL
+from photocal.base.policy import policy
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import block_frame, observed_pixels
 from photocal.findings.finding import Figure, Finding
@@ -101,7 +101,7 @@ def fit_control(adjusted: AdjustedTies, start: Block, views: OrientedImages) -> 
     # What a pixel is on the ground, by the points themselves.
     gsd = _ground_px(rays, views)
     sigma = np.linalg.norm(points.sigma[judged], axis=1)
-    if placed and len(judged) < FEWEST_CONTROL:
+    if placed and len(judged) < policy.fewest_control:
         fit = _beside_positions(rays.met[judged], target[judged], adjusted)
     else:
         fit = _consistent(rays.met[judged], target[judged], sigma, gsd, placed=placed)
@@ -224,9 +224,9 @@ def _consistent(source: Floats, target: Floats, sigma: Floats, gsd: float, *, pl
     """Find the move that most points agree with, among those of triples, of all, and of no turn at all."""
     count, limit = len(source), _tolerance(target, sigma)
     nothing = _Fit(None, np.zeros(count, dtype=np.bool_), np.full(count, np.nan), "control-few")
-    if count < FEWEST_CONTROL:
+    if count < policy.fewest_control:
         return nothing
-    triples = list(combinations(range(count), FEWEST_CONTROL))
+    triples = list(combinations(range(count), policy.fewest_control))
     if len(triples) > MOST_TRIPLES:
         chosen = np.random.default_rng(count).choice(len(triples), MOST_TRIPLES, replace=False)
         triples = [triples[k] for k in chosen]
@@ -239,7 +239,7 @@ def _consistent(source: Floats, target: Floats, sigma: Floats, gsd: float, *, pl
     alike = [move for move, c in zip(moves, cost, strict=True) if c <= ALIKE * min(cost) + gsd]
     best = min(alike, key=lambda move: _turned(move, whole=placed))
     fits = misses_of(best, source, target) <= limit
-    if fits.sum() < FEWEST_CONTROL or 2 * fits.sum() <= count:
+    if fits.sum() < policy.fewest_control or 2 * fits.sum() <= count:
         return replace(nothing, miss=misses_of(best, source, target), why="control-contradicts-itself")
     while True:
         better = similarity(source[fits], target[fits])
@@ -248,7 +248,7 @@ def _consistent(source: Floats, target: Floats, sigma: Floats, gsd: float, *, pl
         best, miss = better, misses_of(better, source, target)
         worst = int(np.argmax(np.where(fits, miss, -1.0)))
         noise = SURVEYS * sigma[worst] + PIXELS * gsd * best.scale
-        few = fits.sum() <= max(FEWEST_CONTROL + 1, np.ceil(2 * count / 3))
+        few = fits.sum() <= max(policy.fewest_control + 1, np.ceil(2 * count / 3))
         if few or miss[worst] <= max(STRAY * float(np.median(miss[fits])), noise):
             return _Fit(best, fits, miss)
         fits[worst] = False

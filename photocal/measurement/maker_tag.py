@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from photocal.base import policy
 from photocal.base.arrays import Floats
+from photocal.base.policy import policy
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.distortion import projected, undistorted
@@ -33,11 +33,11 @@ def tag_finding(camera: Camera) -> Finding | None:
         return None
     worst = int(np.nanargmax(size))
     px, sigma_px = size[worst] / camera.pitch[0], spread[worst] / camera.pitch[0]
-    if px < policy.SMALL_PX or px < policy.TIMES_999 * sigma_px:
+    if px < policy.small_px or px < policy.times_999 * sigma_px:
         return None
     moved = np.abs(camera.values - camera.given)
     names = tuple(
-        n for n in camera.free if moved[PARAMETERS.index(n)] > policy.TIMES_999 * camera.sigma_of(n)
+        n for n in camera.free if moved[PARAMETERS.index(n)] > policy.times_999 * camera.sigma_of(n)
     )
     figures = {"camera": camera.id, "tag": camera.stated_by, "px": float(px), "sigma_px": float(sigma_px)}
     return Finding(CODE, "note", camera.id, {**figures, "names": names or camera.free})

@@ -9,7 +9,7 @@ import numpy as np
 
 from photocal.base.arrays import Bytes, Floats
 from photocal.base.errors import PhotocalError
-from photocal.base.policy import LEAST_CHECKED
+from photocal.base.policy import policy
 from photocal.findings.finding import Finding, Severity
 from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA
 from photocal.measurement.image_facts import ImageFacts
@@ -140,7 +140,7 @@ def suspected_marks(adjusted: AdjustedTies) -> list[dict[str, Any]]:
     block = adjusted.block
     size, redundancy = by_ray(adjusted.assembly, adjusted.solution)
     seen = block.observations
-    spread = np.sqrt((seen.sigma**2).sum(axis=1) * np.maximum(redundancy, LEAST_CHECKED))
+    spread = np.sqrt((seen.sigma**2).sum(axis=1) * np.maximum(redundancy, policy.least_checked))
     share = size / spread
     marked = seen.point < len(adjusted.start.points.names)
     # With fewer marks nobody knows what they scatter by.

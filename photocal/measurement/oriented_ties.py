@@ -7,7 +7,7 @@ import numpy as np
 
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import IllPosedError, PhotocalError
-from photocal.base.policy import FEWEST_CONTROL
+from photocal.base.policy import policy
 from photocal.base.progress import Progress
 from photocal.base.workers import Workers
 from photocal.block.model import Block, Images
@@ -164,7 +164,7 @@ def _as_stated(block: Block, stated: Mapping[str, Floats]) -> Images:
 
 def _controlled(block: Block) -> bool:
     """Whether marked control points place a block without its positions."""
-    return len(marked_control(block)) >= FEWEST_CONTROL
+    return len(marked_control(block)) >= policy.fewest_control
 
 
 def orient_ties(

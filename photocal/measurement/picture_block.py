@@ -10,7 +10,7 @@ import numpy as np
 
 from photocal.base.arrays import Flags, Integers
 from photocal.base.errors import ConfigurationError
-from photocal.base.policy import FEWEST_CONTROL
+from photocal.base.policy import policy
 from photocal.base.progress import Progress
 from photocal.base.workers import one_crew
 from photocal.block.folder import read_points
@@ -252,7 +252,7 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
             recorded = np.radians([gimbal[name] for name in measured.images.names])
             findings += pictures_turned(measured.images.names, final.values, recorded)
             above = any(facts.altitude_kind == ABOVE_TAKE_OFF for facts in tracked.facts)
-            if above and control.crs != "local" and len(marked_control(block)) < FEWEST_CONTROL:
+            if above and control.crs != "local" and len(marked_control(block)) < policy.fewest_control:
                 findings.append(Finding("heights-above-take-off", "doubtful"))
     suspects = suspected_marks(final)
     bare = [Finding("no-coordinates", "doubtful", point) for point in control.without_coordinates]
@@ -447,7 +447,7 @@ def _with_loose_positions(block: Block, *, any_surface: bool) -> Block:
     the block.
     """
     known: Flags = np.asarray(np.isfinite(block.images.values[:, 3:]).all(axis=1))
-    controlled = len(marked_control(block)) >= FEWEST_CONTROL
+    controlled = len(marked_control(block)) >= policy.fewest_control
     loosely = (*POSITION_SIGMA_M[:2], OTHER_SURFACE_M if controlled else POSITION_SIGMA_M[2])
     sigma = block.images.sigma.copy()
     loose = known[:, None] & np.isinf(sigma[:, 3:])

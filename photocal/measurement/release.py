@@ -7,7 +7,7 @@ import numpy as np
 
 from photocal.adjustment.readout import left_by_movement
 from photocal.base.errors import IllPosedError, NotConvergedError
-from photocal.base.policy import CONTRADICTED, FEWEST_CONTROL
+from photocal.base.policy import policy
 from photocal.block.model import Block
 from photocal.findings.finding import Figure, Finding
 from photocal.geometry.camera import PARAMETERS, Camera, among
@@ -141,7 +141,7 @@ def _not_borne(
     for camera in released.start.cameras:
         first = given[camera.id]
         away, prior = abs(camera.value("c") - first.value("c")), float(first.prior_sigma[0])
-        if camera.estimated[0] and away > (CONTRADICTED * prior if np.isfinite(prior) else np.inf):
+        if camera.estimated[0] and away > (policy.contradicted * prior if np.isfinite(prior) else np.inf):
             given_c = first.value("c")
             return {"camera": camera.id, "value": camera.value("c"), "given": given_c, "unit": camera.unit}
     return {}
@@ -160,7 +160,7 @@ def _restored(held: AdjustedTies, released: AdjustedTies, block: Block) -> tuple
     if released.start.datum == "free":
         bare = without_single_rays(bare)
     else:
-        shifted = len(marked_control(block)) >= FEWEST_CONTROL
+        shifted = len(marked_control(block)) >= policy.fewest_control
         borne, _, findings = position_sigmas(bare.images, released.values, shifted=shifted)
         # An image may be held level where all positions lie in a line.
         borne[:, :3] = released.start.images.sigma[:, :3]
@@ -183,7 +183,7 @@ def _outdated(finding: Finding, cameras: Sequence[Camera]) -> bool:
         return False
     camera = next(camera for camera in cameras if camera.id == finding.subject)
     change = abs(finding.figures["value"] - finding.figures["given"])
-    return bool(camera.estimated[0]) and change <= CONTRADICTED * float(camera.prior_sigma[0])
+    return bool(camera.estimated[0]) and change <= policy.contradicted * float(camera.prior_sigma[0])
 
 
 def _moving(adjusted: AdjustedTies) -> list[Finding]:

@@ -12,7 +12,7 @@ from photocal.adjustment.start.model import UNLIKE, robust_adjustment
 from photocal.adjustment.state import State, start_state
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import IllPosedError, NotConvergedError, PhotocalError
-from photocal.base.policy import LEAST_CHECKED
+from photocal.base.policy import policy
 from photocal.block.model import Block, Images
 from photocal.block.network import NetworkOfBlock, assemble
 from photocal.geometry.camera import PARAMETERS, Camera, among
@@ -136,7 +136,9 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> AdjustedTies:
         tie_rays = slice(len(start.observations.image), None)
         sigma = ray_sigmas(ties.tracks.scale, ties.tracks.image, size[tie_rays], redundancy[tie_rays])
         # A residual shows the part of the error that the redundancy number says.
-        standardised = size[tie_rays] / (sigma * np.sqrt(2 * np.maximum(redundancy[tie_rays], LEAST_CHECKED)))
+        standardised = size[tie_rays] / (
+            sigma * np.sqrt(2 * np.maximum(redundancy[tie_rays], policy.least_checked))
+        )
         good = standardised <= (GROSS if round_ else 2 * GROSS)
         ties, block = replace(ties, sigma=sigma).some(good).held()
         if round_ and np.mean(~good) <= FEW_LEFT:

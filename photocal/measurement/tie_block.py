@@ -6,7 +6,7 @@ import numpy as np
 
 from photocal.adjustment.start.model import UNLIKE
 from photocal.base.arrays import Flags, Floats, Integers
-from photocal.base.policy import LEAST_CHECKED
+from photocal.base.policy import policy
 from photocal.block.model import ROLES, Block
 from photocal.block.network import block_frame, observed_pixels, observed_plane
 from photocal.geometry.distortion import slopes_of
@@ -132,7 +132,7 @@ def ray_sigmas(scale: Floats, image: Integers, size: Floats, redundancy: Floats)
     # Height, light and blur make images differently sharp; with one sigma for all, those that are worse would
     # weigh too much, and what depends on them would seem surer than it is.
     images = int(image.max(initial=-1)) + 1
-    seen = redundancy > LEAST_CHECKED
+    seen = redundancy > policy.least_checked
     count = np.bincount(image[seen], minlength=images)
     # An image with fewer rays has the sigmas of all.
     fewest_in_image = 100
@@ -162,7 +162,7 @@ def class_sigmas(scale: Floats, size: Floats, redundancy: Floats) -> Floats:
     member = np.searchsorted(edges, scale)
     sigma = np.ones(len(scale))
     for k in range(classes):
-        of_class = (member == k) & (redundancy > LEAST_CHECKED)
+        of_class = (member == k) & (redundancy > policy.least_checked)
         if of_class.any():
             sigma[member == k] = _sigma_of_the_kept(size[of_class] ** 2, 2 * redundancy[of_class])
     return np.maximum(sigma, FINEST_PX)

@@ -12,7 +12,6 @@ from photocal.navigation.trajectory import LARGEST_GAP_S, local_mean_square
 
 # A camera's own axes when its body's forward axis is the line of sight: x right, y up, z backwards.
 LINE_OF_SIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
-_LEAST_TRIALS = 20
 # Turn of a vehicle between attitudes a second apart, off the steady turn, where nothing tells it.
 _DEFAULT_WANDER = np.radians(3.0)
 
@@ -141,8 +140,10 @@ def left_out_turns(track: AttitudeTrack) -> tuple[GpsTime, Floats, Floats]:
 
 
 def _wander(track: AttitudeTrack, time: GpsTime) -> Floats:
+    # Of fewer the error of interpolation is not known.
+    least_trials = 20
     trial_time, error, gap = left_out_turns(track)
-    if len(gap) < _LEAST_TRIALS:
+    if len(gap) < least_trials:
         return np.full((len(time), 3), _DEFAULT_WANDER)
     mean = local_mean_square(trial_time, (error / np.sqrt(gap)[:, None]) ** 2, time)
     return np.asarray(np.maximum(np.sqrt(mean), 1e-6))

@@ -6,9 +6,9 @@ import numpy as np
 
 from photocal.adjustment.reliability import noncentrality
 from photocal.adjustment.solution import GlobalTest, global_test
-from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError
+from photocal.base.policy import policy
 from photocal.navigation.trajectory import enu_axes_at
 
 # Two-sided 0.1 % for one component (lambda 17.075).
@@ -47,7 +47,7 @@ class Blunder:
     component: ``height``, ``east`` or ``north``; an error of height alone is mostly that of an antenna
         height.
     size_m: estimated error with its sign, start to end.
-    test: normalised residual; rejected above `policy.TIMES_999`.
+    test: normalised residual; rejected above `policy.times_999`.
     """
 
     name: str
@@ -176,7 +176,7 @@ def _adjust(
         squared / dof if dof > 0 else float("nan"),
     )
     worst = int(np.argmax(np.abs(test))) if m else 0
-    if not m or abs(test[worst]) <= policy.TIMES_999:
+    if not m or abs(test[worst]) <= policy.times_999:
         return solution, None
     b = baselines[worst // 3]
     blunder = Blunder(

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from photocal.base import policy
 from photocal.base.arrays import Floats, Integers, picked
 from photocal.base.errors import IllPosedError
+from photocal.base.policy import policy
 
 _LEAST_READINGS = 4
 
@@ -144,7 +144,7 @@ def _jump(device: Integers, reference: Integers, least_s: float) -> int | None:
         low, high = max(0, i - width), min(n, i + width)
         trend = float(np.median(np.diff(residual[low:high]))) * (high - low) / 2
         step[i] = np.median(residual[i:high]) - np.median(residual[low:i]) - trend
-    noise = policy.MAD_TO_SIGMA * float(np.median(np.abs(np.diff(residual) - np.median(np.diff(residual)))))
+    noise = policy.mad_to_sigma * float(np.median(np.abs(np.diff(residual) - np.median(np.diff(residual)))))
     jump_sigmas = 8.0
     limit = max(jump_sigmas * noise, least_s)
     worst = int(np.argmax(np.abs(step)))
@@ -166,7 +166,7 @@ def _fit(device: Integers, reference: Integers, resolution_s: float) -> ClockSeg
     scale = floor
     for _ in range(30):
         residual = y - offset - rate * x
-        scale = max(policy.MAD_TO_SIGMA * float(np.median(np.abs(residual - np.median(residual)))), floor)
+        scale = max(policy.mad_to_sigma * float(np.median(np.abs(residual - np.median(residual)))), floor)
         weight = np.minimum(1.0, 1.345 * scale / np.maximum(np.abs(residual), 1e-12))
         root = np.sqrt(weight)
         (offset, rate), *_ = np.linalg.lstsq(design * root[:, None], y * root, rcond=None)

@@ -12,9 +12,7 @@ from photocal.navigation.time import WEEK_NS, GpsTime, exact_ns
 from photocal.navigation.trajectory import Geodetic, Trajectory
 
 FIXED, FLOAT = 1, 2
-_COLUMNS = 15
 _LEAST_SIGMA_M = 1e-4
-_FIELDS = 12
 _STATUS = {1: "fixed", 2: "float"}
 # What differences do not remove of orbits, troposphere and ionosphere: a millimetre per kilometre at quiet
 # times (Odijk 2002, chapter 3).
@@ -66,8 +64,10 @@ class EngineSolution(Geodetic):
 
 def read_solution(path: Path) -> EngineSolution:
     """Read a position file (geodetic, time as week and seconds)."""
+    # Columns of RTKLIB's position file before the velocities.
+    columns = 15
     lines = [line.split() for line in path.read_text("latin-1").splitlines() if line and line[0] != "%"]
-    rows = [line for line in lines if len(line) >= _COLUMNS]
+    rows = [line for line in lines if len(line) >= columns]
     if not rows:
         raise IllPosedError(
             "the engine found no position",
@@ -78,11 +78,11 @@ def read_solution(path: Path) -> EngineSolution:
     try:
         week = np.array([int(row[0]) for row in rows], np.int64)
         tow_ns = np.array([exact_ns(row[1]) for row in rows], np.int64)
-        table = np.array([[float(v) for v in row[2:_COLUMNS]] for row in rows])
+        table = np.array([[float(v) for v in row[2:columns]] for row in rows])
         np.asarray_chkfinite(table[:, 5:11])
         for number, row in enumerate(rows):
-            if len(row) >= _COLUMNS + 3:
-                velocity[number] = [float(v) for v in row[_COLUMNS : _COLUMNS + 3]]
+            if len(row) >= columns + 3:
+                velocity[number] = [float(v) for v in row[columns : columns + 3]]
     except (ValueError, OverflowError) as cause:
         raise InputMalformedError(
             f"is no position file with times as week and seconds ({cause})",
@@ -156,12 +156,13 @@ class SatelliteResiduals:
 
 def read_satellite_residuals(path: Path) -> SatelliteResiduals:
     """Read the satellites that were used from a status file (RTKLIB manual 2.4.2, appendix B.2)."""
+    least_fields = 12
     rows: list[list[str]] = []
     # A file that the engine did not write tells of none.
     if path.exists():
         with path.open(encoding="latin-1") as stream:
             records = (line.split(",") for line in stream if line.startswith("$SAT"))
-            rows = [fields[1:9] for fields in records if len(fields) >= _FIELDS and fields[9] == "1"]
+            rows = [fields[1:9] for fields in records if len(fields) >= least_fields and fields[9] == "1"]
     week, tow, satellite, frequency, azimuth, elevation, _, residual = (
         zip(*rows, strict=True) if rows else [()] * 8
     )

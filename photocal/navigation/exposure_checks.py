@@ -24,11 +24,6 @@ from photocal.navigation.time import leap_seconds
 from photocal.navigation.trajectory import Trajectory, plainly
 from photocal.navigation.vehicle import VehicleTrack
 
-# Heights above sea level of autopilots drift by metres with the air pressure.
-_PRESSURE_M = 4.0
-# Events and the UTC that pictures state of the same exposures differ by less: delays of shutters.
-_SAME_TIME_S = 0.5
-
 
 @dataclass(frozen=True)
 class Evidence:
@@ -92,16 +87,18 @@ def times_against_pictures(
     events: Events, cameras: list[CameraMatch], images: list[ImageMetadata]
 ) -> list[Finding]:
     """Hold events against pictures that state the UTC of their exposure: no clocks are between them."""
+    # Events and the UTC that pictures state of the same exposures differ by less: delays of shutters.
+    same_time_s = 0.5
     utc, findings = {image.name for image in images if image.utc}, list[Finding]()
     leap = float(leap_seconds(events.time[[0]])[0]) if len(events) else 0.0
     for camera in cameras:
         matched = [camera.names[i] for i in camera.matching.image.tolist()]
         late = camera.matching.offset_s
-        if not matched or not utc.issuperset(matched) or abs(late) < _SAME_TIME_S:
+        if not matched or not utc.issuperset(matched) or abs(late) < same_time_s:
             continue
         hours = round(late / 3600.0)
-        cause = "leap-seconds-list" if abs(abs(late) - leap) < _SAME_TIME_S else ""
-        cause = "hours-list" if hours and abs(late - 3600.0 * hours) < _SAME_TIME_S else cause
+        cause = "leap-seconds-list" if abs(abs(late) - leap) < same_time_s else ""
+        cause = "hours-list" if hours and abs(late - 3600.0 * hours) < same_time_s else cause
         figures = {"late_s": late, "n": float(len(matched)), "leap_seconds": leap, "hours": float(hours)}
         findings.append(Finding("events-beside-time", "grave", camera.camera, figures, cause=cause))
     return findings
@@ -125,6 +122,8 @@ def _time_base(e: Evidence) -> Finding:
 
 def _height_kind(e: Evidence) -> Finding:
     """Hold ellipsoidal heights against heights above sea level: they must differ by the geoid."""
+    # Heights above sea level of autopilots drift by metres with the air pressure.
+    pressure_m = 4.0
     code = "height-kind"
     if e.trajectory is None:
         return untested(code, "no-trajectory")
@@ -142,10 +141,10 @@ def _height_kind(e: Evidence) -> Finding:
     seen += [] if base is None else [geoid + base]
     if not seen:
         return untested(code, "no-sea-level", figures)
-    if abs(geoid) < 2 * _PRESSURE_M:
+    if abs(geoid) < 2 * pressure_m:
         return untested(code, "flat-geoid", figures)
     figures["above_m"] = value = float(np.mean(seen))
-    if abs(value - geoid) < min(abs(geoid) / 2, 3 * _PRESSURE_M):
+    if abs(value - geoid) < min(abs(geoid) / 2, 3 * pressure_m):
         return Finding(code, "passed", figures=figures)
     cause = "orthometric-heights" if abs(value) < abs(geoid) / 2 else "base-height"
     return Finding(code, "grave", figures=figures, cause=cause)

@@ -17,7 +17,6 @@ from photocal.navigation.rig import CameraOnBody
 from photocal.navigation.trajectory import COLUMNS, LARGEST_GAP_S, covariance_cells
 
 COLOURS = {"fixed": "tab:green", "float": "tab:orange", "single": "tab:red"}
-_SHOWN_GAP_S = 60.0
 EVENT_COLUMNS = (
     *COLUMNS, "image", "roll_deg", "pitch_deg", "yaw_deg", "event", "note", "sroll", "spitch", "syaw",
     "above_take_off_m",
@@ -79,20 +78,22 @@ def _timing(run: ExposureRun, minutes: Floats, timing: Any) -> None:
 
 
 def _gaps(run: ExposureRun, minutes: Floats, gaps: Any) -> None:
+    # Longer gaps stand at the border of the figure.
+    shown_gap_s = 60.0
     gap = run.exposures.placed.gap_s
-    beyond = ~(gap <= _SHOWN_GAP_S)
+    beyond = ~(gap <= shown_gap_s)
     gaps.plot(minutes[~beyond], gap[~beyond], ".", ms=4)
     if beyond.any():
         gaps.plot(
             minutes[beyond],
-            np.full(int(beyond.sum()), _SHOWN_GAP_S),
+            np.full(int(beyond.sum()), shown_gap_s),
             "^",
             ms=4,
             color="tab:red",
-            label=f"over {_SHOWN_GAP_S:g} s, or outside the trajectory",
+            label=f"over {shown_gap_s:g} s, or outside the trajectory",
         )
     gaps.axhline(LARGEST_GAP_S, color="k", lw=0.8, label=f"{LARGEST_GAP_S:g} s: placed below")
-    gaps.set_ylim(0.0, max(2 * LARGEST_GAP_S, 1.1 * float(np.max(np.minimum(gap, _SHOWN_GAP_S)))))
+    gaps.set_ylim(0.0, max(2 * LARGEST_GAP_S, 1.1 * float(np.max(np.minimum(gap, shown_gap_s)))))
     gaps.ticklabel_format(useOffset=False)
     gaps.legend()
     gaps.set(xlabel="time / min", ylabel="epochs apart / s", title="Epochs around each event")

@@ -15,7 +15,6 @@ from photocal.navigation.exposures import CameraMatch, Exposures
 from photocal.navigation.ppk_figures import PpkFigures
 from photocal.navigation.trajectory import LARGEST_GAP_S
 
-_LISTED = 12
 # What schema 1 calls the outcome of a check; all others failed.
 _VERDICTS = {"passed": "passed", "note": "passed", "untested": "not possible"}
 
@@ -139,6 +138,8 @@ def _missing(exposures: Exposures) -> Iterator[Finding]:
 
 def exposures_text(figures: dict[str, Any]) -> str:
     """Return the summary in words."""
+    # The table has all; a screen shows this many.
+    listed = 12
     counts = ", ".join(f"{figures[name]} {name}" for name in ("fixed", "float", "single"))
     lines = [
         f"{figures['events']} events from {figures['events_from']}, {figures['placed']} placed: {counts}",
@@ -165,9 +166,9 @@ def exposures_text(figures: dict[str, Any]) -> str:
             )
         lines.append(line)
     missing = figures["not_placed"]
-    lines += [f"event {x['event']} at {x['time_gps']}: {x['reason']}" for x in missing[:_LISTED]]
-    if len(missing) > _LISTED:
-        lines.append(f"... and {len(missing) - _LISTED} more without a position: see exposures.csv")
+    lines += [f"event {x['event']} at {x['time_gps']}: {x['reason']}" for x in missing[:listed]]
+    if len(missing) > listed:
+        lines.append(f"... and {len(missing) - listed} more without a position: see exposures.csv")
     lines.append("checks:")
     words = {"passed": "ok    ", "failed": "FAILED", "not possible": "  -   "}
     lines += [f"  {words[c['verdict']]} {c['code']}: {c['text']}" for c in figures["checks"]]

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import label
 
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.policy import policy
 from photocal.navigation.engine_output import FIXED, FLOAT, EngineSolution
 from photocal.navigation.time import GpsTime
 
@@ -18,8 +18,6 @@ _SHORT_RUN, _FEWEST, _LASTING_NS = 5, 3, 30_000_000_000
 # Fixes belong to one run when no more than this lies between them, or two epochs of a slow receiver.
 _RUN_GAP_NS = 3_000_000_000
 _RUN_GAP_EPOCHS = 2.5
-_CODE_SIGMAS = 5.0
-_JUMP_SIGMAS = 5.0
 # Separations near an epoch: within so long, or so many epochs of a slow receiver; float errors hold a minute.
 _WINDOW_NS, _WINDOW_EPOCHS, _CORRELATED_NS = 30e9, 6, 60e9
 # Phase multipath of a rover antenna, per component, that the engine's fixed sigmas leave out (Georgiadou and
@@ -122,7 +120,7 @@ def _velocity(time: GpsTime, here: Floats, fixed: Flags, code: EngineSolution) -
     error = (step / seconds[:, None])[pair]
     if len(error) < 2 * _SHORT_RUN:
         return velocity, 0.1
-    return velocity, max(float(policy.MAD_TO_SIGMA * np.median(np.abs(error)) * np.sqrt(2.0)), 0.02)
+    return velocity, max(float(policy.mad_to_sigma * np.median(np.abs(error)) * np.sqrt(2.0)), 0.02)
 
 
 def _steps(time: GpsTime, here: Floats, fixed: Flags, velocity: Floats) -> tuple[Floats, Floats, Flags]:
@@ -136,10 +134,12 @@ def _steps(time: GpsTime, here: Floats, fixed: Flags, velocity: Floats) -> tuple
 
 def _jumps(time: GpsTime, here: Floats, fixed: Flags, velocity: Floats, sigma: float) -> Flags:
     """Tell which fixes stand off the path that their neighbours and the velocities give."""
+    # Doppler velocities have long tails.
+    jump_sigmas = 5.0
     # Of the two sides of a jump the shorter run of fixes is the doubtful one.
     step, seconds, pair = _steps(time, here, fixed, velocity)
     # The mean of two velocities, and a manoeuvre of 1 m/s^2 within the step.
-    limit = _JUMP_SIGMAS * (sigma * seconds / np.sqrt(2) + 0.02) + seconds**2 / 8
+    limit = jump_sigmas * (sigma * seconds / np.sqrt(2) + 0.02) + seconds**2 / 8
     broken = pair & (np.abs(step) > limit[:, None] * np.array([1.0, 1.0, 2.0])).any(axis=1)
     flagged = np.zeros(len(time), bool)
     runs = _runs(time, fixed, broken)
@@ -172,6 +172,8 @@ def _lonely(time: GpsTime, fixed: Flags) -> Flags:
 
 
 def _off_code(here: Floats, combined: EngineSolution, code: EngineSolution, origin: Floats) -> Flags:
+    # Errors of code positions have long tails: five sigmas, not three.
+    code_sigmas = 5.0
     row = code.at(combined.time)
     difference = here - code.offsets(origin)[row]
     known = row >= 0
@@ -179,7 +181,7 @@ def _off_code(here: Floats, combined: EngineSolution, code: EngineSolution, orig
         return np.zeros(len(here), bool)
     # Code positions share the atmosphere's error: the median of the flight is taken out before the test.
     difference = difference - np.median(difference[known], axis=0)
-    return np.asarray(known & (np.abs(difference) > _CODE_SIGMAS * code.sigma_m[row]).any(axis=1))
+    return np.asarray(known & (np.abs(difference) > code_sigmas * code.sigma_m[row]).any(axis=1))
 
 
 def _float_factor(

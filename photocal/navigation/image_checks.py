@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from photocal.base import policy
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import PhotocalError
+from photocal.base.policy import policy
 from photocal.base.progress import Progress
 from photocal.block.table import read_wider_table
 from photocal.findings.finding import Finding, untested
@@ -26,8 +26,6 @@ from photocal.results.folder import RESULT, read_result
 CODE = "image-rotations"
 # Attitudes of small vehicles are good to a few degrees.
 ROUGH_DEG = 5.0
-_LEAST = 6
-_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
@@ -161,12 +159,16 @@ def compare_with_oriented(
 
 def boresight_check(exposures: Exposures, oriented: OrientedImages, rig: CameraOnBody) -> Finding:
     """Return the constant turn between recorded attitudes and the camera as a check."""
+    # Of fewer rotations the spread about their median is not known.
+    least = 6
+    # A boresight's difference is judged as a blunder is: beyond three sigmas.
+    sigmas = 3.0
     # The block is turned into east, north, up by its positions (a similarity); the median of what is left is
     # taken about each camera axis, images that are stored turned taken upright.
     rows = _common(exposures, oriented)
     place = places_of(exposures)
-    if len(rows) < _LEAST or not np.isfinite(place[rows]).all():
-        return untested("boresight", "few-rotations", {"n": float(len(rows)), "needed": float(_LEAST)})
+    if len(rows) < least or not np.isfinite(place[rows]).all():
+        return untested("boresight", "few-rotations", {"n": float(len(rows)), "needed": float(least)})
     aligned = similarity(oriented.station[rows], place[rows])
     if aligned is None:
         return untested("boresight", "on-one-line")
@@ -176,11 +178,11 @@ def boresight_check(exposures: Exposures, oriented: OrientedImages, rig: CameraO
     recorded = orientations(exposures, rig).rotation[rows]
     turn = Rotation.from_matrix(upright @ np.swapaxes(recorded, 1, 2)).as_rotvec()
     value = np.median(turn, axis=0)
-    spread = policy.MAD_TO_SIGMA * np.median(np.abs(turn - value), axis=0)
+    spread = policy.mad_to_sigma * np.median(np.abs(turn - value), axis=0)
     # The median of n normal values has pi / 2 times the variance of their mean; neighbours err alike.
     sigma = spread * np.sqrt(np.pi / 2 / len(rows) * _inflation(turn - value))
     stated = np.radians(ROUGH_DEG) if rig.angle_sigma is None else float(np.max(rig.angle_sigma))
-    limit = _SIGMAS * np.sqrt(sigma**2 + rig.boresight_sigma**2 + stated**2)
+    limit = sigmas * np.sqrt(sigma**2 + rig.boresight_sigma**2 + stated**2)
     figures: dict[str, Any] = {
         "images": len(rows),
         "turn_deg": np.degrees(value).tolist(),

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import IllPosedError
+from photocal.base.policy import policy
 
 _LEAST_PAIRS = 4
 _SIGMAS = 4.0
@@ -212,7 +212,7 @@ def _refine(
             root = np.sqrt(weight)
             (a, b), *_ = np.linalg.lstsq(design * root[:, None], d * root, rcond=None)
             residual = d - a - b * t
-            scatter = max(policy.MAD_TO_SIGMA * float(np.median(np.abs(residual))), 1e-6)
+            scatter = max(policy.mad_to_sigma * float(np.median(np.abs(residual))), 1e-6)
             weight = np.minimum(1.0, 1.5 * scatter / np.maximum(np.abs(residual), 1e-12))
         covariance = scatter**2 * np.linalg.pinv(design.T @ (design * weight[:, None]))
         narrower = max(_SIGMAS * scatter, 1e-4)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from photocal.base import policy
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError
 from photocal.base.geodesy import enu_offsets
+from photocal.base.policy import policy
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.rotation import skew
 from photocal.geometry.similarity import similarity
@@ -65,7 +65,7 @@ class Explanation:
     @property
     def significant(self) -> bool:
         """Whether the data want it."""
-        return self.p < policy.SIGNIFICANCE and self.gain > 0
+        return self.p < policy.significance and self.gain > 0
 
 
 @dataclass(frozen=True)
@@ -119,9 +119,9 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
     tried = [_freed(name, model, sigma, place) for name, place in places.items()]
     if pairs.lever_m is not None and turned:
         tried += _exchanged(model, sigma, to_camera[rows], pairs.lever_m)
-    judged = [t for t in tried if t.significant and t.p * len(tried) < policy.SIGNIFICANCE]
+    judged = [t for t in tried if t.significant and t.p * len(tried) < policy.significance]
     best = max(judged, key=lambda t: t.gain, default=None)
-    as_good = [t.name for t in judged if best and t.name != best.name and best.gain - t.gain < policy.AS_GOOD]
+    as_good = [t.name for t in judged if best and t.name != best.name and best.gain - t.gain < policy.as_good]
     most = 0.8
     # A lever arm is known to a centimetre: exchanged axes need not explain the last of it.
     exchange = next((t for t in judged if t.name == AXES and best and t.gain > most * best.gain), None)

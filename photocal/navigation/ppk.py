@@ -31,8 +31,6 @@ from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory, enu_axes_at
 from photocal.project import AirAtBase
 
-_LEAST_EPOCHS = 10
-_BASE_LIMIT_M = 10.0
 # The engine uses base observations up to 30 s old.
 _BASE_AGE_NS = 30_000_000_000
 SYSTEMS = "GREJC"
@@ -225,6 +223,8 @@ def process(
 
 def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:
     """Refuse observations that do not overlap or hardly so."""
+    # Fewer common epochs solve nothing: the files belong to two flights.
+    least_epochs = 10
     first, last = int(base.time.ns[0]) - _BASE_AGE_NS, int(base.time.ns[-1]) + _BASE_AGE_NS
     common = int(((rover.time.ns >= first) & (rover.time.ns <= last)).sum())
     spans = "; ".join(
@@ -236,9 +236,9 @@ def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:
             f"base and rover do not overlap in time: {spans} (GPS time)",
             "take the base's recording of the flight",
         )
-    if common < _LEAST_EPOCHS:
+    if common < least_epochs:
         raise IllPosedError(
-            f"only {common} epochs of the rover have a base, at least {_LEAST_EPOCHS} are needed: {spans} "
+            f"only {common} epochs of the rover have a base, at least {least_epochs} are needed: {spans} "
             "(GPS time)",
             "take the base's recording of the whole flight",
         )
@@ -255,14 +255,16 @@ def parse_position(text: str) -> Floats:
 
 def _base_off_code(inputs: Inputs, options: ProcessingOptions, engine: Rtklib, folder: Path) -> Floats:
     """Return the base's position less its own code solution (east, north, up); refuse a wrong one."""
+    # A code position of hours is good to metres.
+    base_limit_m = 10.0
     alone = [inputs.base.path, *inputs.navigation]
     code = engine.solve("single", "forward", alone, options, None, folder)
     apart = enu_axes_at(inputs.base_m) @ (inputs.base_m - np.median(code.xyz_m, axis=0))
     off = float(np.linalg.norm(apart))
-    if off > _BASE_LIMIT_M:
+    if off > base_limit_m:
         raise IllPosedError(
             f"the base's position ({inputs.base_source}) is {off:.1f} m from its own code solution, more "
-            f"than {_BASE_LIMIT_M:g} m",
+            f"than {base_limit_m:g} m",
             "check coordinates, reference system and kind of height of the base",
             where=inputs.base.path.name,
         )

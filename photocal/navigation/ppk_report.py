@@ -22,8 +22,6 @@ from photocal.navigation.ppk_inputs import Sources, gather_inputs
 from photocal.navigation.trajectory import write_trajectory
 
 # The engine uses older observations of the base no more.
-_LONG_GAP_S = 30.0
-_LISTED_PLACES = 10
 
 
 def solved(sources: Sources, engine: Rtklib, folder: Path) -> tuple[PpkResult, dict[str, Any]]:
@@ -99,6 +97,8 @@ def _frame(known: BaseFrame | None) -> dict[str, Any]:
 
 def _findings(result: PpkResult, counts: dict[str, int], epochs: int) -> Iterator[Finding]:
     """Find what should not pass silently into results."""
+    # Corrections that are this old still serve; longer gaps are told.
+    long_gap_s = 30.0
     fixed = 100.0 * counts["fixed"] / epochs
     good_share = 95.0
     if fixed < good_share:
@@ -111,9 +111,9 @@ def _findings(result: PpkResult, counts: dict[str, int], epochs: int) -> Iterato
         yield Finding("base-position", "grave", figures={"off_m": off}, clauses=("off-code",))
     if result.inputs.base_frame is not None:
         yield from result.inputs.base_frame.findings()
-    lost = [(t, s) for t, s in result.base_gaps_s if s > _LONG_GAP_S]
+    lost = [(t, s) for t, s in result.base_gaps_s if s > long_gap_s]
     if lost:
-        longest: dict[str, Any] = {"n": float(len(lost)), "limit_s": _LONG_GAP_S}
+        longest: dict[str, Any] = {"n": float(len(lost)), "limit_s": long_gap_s}
         longest |= {"longest_s": float(lost[0][1]), "from_gps": lost[0][0].iso()[0]}
         yield Finding("base-gaps", "doubtful", figures=longest)
 
@@ -202,6 +202,8 @@ def ppk_text(figures: dict[str, Any]) -> str:
 
 
 def _validation_text(validation: dict[str, Any]) -> list[str]:
+    # As many as a screen shows beside the summary.
+    listed_places = 10
     demoted = {reason: count for reason, count in validation["demoted"].items() if count}
     lines = [f"fixed by the engine {validation['fixed_by_the_engine']}, of these made float:"]
     lines += [f"  {count} {reason}" for reason, count in demoted.items()] or ["  none"]
@@ -215,14 +217,14 @@ def _validation_text(validation: dict[str, Any]) -> list[str]:
             spread = " ".join(f"{v:.3f}" for v in rms)
             lines.append(f"forward less backward, {kind}: {spread} m rms (E N U)")
     places = validation["directions_apart"]
-    for place in places[:_LISTED_PLACES]:
+    for place in places[:listed_places]:
         other = {"forward": "backward", "backward": "forward"}.get(place["taken"], "the other")
         lines.append(
             f"directions {place['largest_m']:.2f} m apart from {place['from_gps']} on, {place['epochs']} "
             f"epochs: {place['taken']} was taken, {other} has no fix there"
         )
-    if len(places) > _LISTED_PLACES:
-        lines.append(f"and {len(places) - _LISTED_PLACES} more places")
+    if len(places) > listed_places:
+        lines.append(f"and {len(places) - listed_places} more places")
     factors = ", ".join(f"{v:.0f}" for v in validation["float_sigma_factor_enu"])
     lines.append(f"the engine's float sigmas are too small by {factors} (E, N, U)")
     return lines

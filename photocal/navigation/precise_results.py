@@ -9,9 +9,9 @@ from re import compile as pattern
 
 import numpy as np
 
-from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError, reading
+from photocal.base.policy import policy
 from photocal.geometry.realizations import Realization, known_realization
 from photocal.navigation.time import GpsTime, exact_ns
 from photocal.navigation.trajectory import enu_axes_at
@@ -178,7 +178,7 @@ def _of_csrs(lines: list[str]) -> PreciseResult:
     # Latitude and longitude stand in degrees, minutes and seconds.
     for row, (axis, first) in enumerate((("LAT", 11), ("LON", 11), ("HGT", 7))):
         cells = rows[axis]
-        sigma[row], whole[row] = (float(cells[first + k * total]) / policy.TIMES_95 for k in (0, 1))
+        sigma[row], whole[row] = (float(cells[first + k * total]) / policy.times_95 for k in (0, 1))
         for column, text in enumerate(cells[first + 1 + total : first + 1 + total + row]):
             correlation[row, column] = correlation[column, row] = float(text)
     local = correlation * np.outer(sigma, sigma) + np.diag(whole**2 - sigma**2)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from photocal.adjustment.ellipses import ellipses
-from photocal.base import policy
 from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.files import write_rows
 from photocal.base.geodesy import geodetic
+from photocal.base.policy import policy
 from photocal.geometry.ground_scale import combined_factor, has_scale
 from photocal.navigation.baseline_network import NetworkSolution
 from photocal.navigation.exposure_files import in_frame
@@ -63,7 +63,7 @@ def _effects(solution: NetworkSolution, row: int) -> list[dict[str, Any]]:
 
 def _marks(solution: NetworkSolution) -> list[dict[str, Any]]:
     local = _local_covariances(solution)
-    confidence = ellipses(local, policy.CONFIDENCE)
+    confidence = ellipses(local, policy.confidence)
     columns = {
         "name": solution.names,
         **dict(zip(("lat_deg", "lon_deg", "height_m"), geodetic(solution.xyz_m), strict=True)),

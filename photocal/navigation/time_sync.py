@@ -20,8 +20,6 @@ from photocal.navigation.time import GpsTime
 # A receiver sends an epoch up to a tenth of a second after it: computation and transmission.
 _RECEIVER_LATE_S, _RECEIVER_LATE_SIGMA_S = 0.05, 0.03
 Received = tuple[Integers, Integers, NDArray[Any]]
-_MILLISECOND_NS = 1_000_000
-_LONGEST_TRIP_NS = 10_000_000_000
 
 
 @dataclass(frozen=True)
@@ -112,11 +110,14 @@ def vehicle_clocks(
     system: Received | None, exchanges: Received | None, gnss: ComparedClocks | None
 ) -> VehicleClocks:
     """Fit an autopilot's clock to UTC and to the recording computer's clock."""
+    millisecond_ns = 1_000_000
+    # An answer after ten seconds belongs to a question before a restart.
+    longest_trip_ns = 10_000_000_000
     clocks: list[ComparedClocks] = []
     clock, synced, utc_told = None, None, False
     if system is not None:
         host, _, fields = system
-        boot = fields["time_boot_ms"].astype(np.int64) * _MILLISECOND_NS
+        boot = fields["time_boot_ms"].astype(np.int64) * millisecond_ns
         utc = fields["time_unix_usec"].astype(np.int64) * 1000
         # A bit error that a checksum of 16 bits passed shows as a time of another year.
         good = utc > 0
@@ -130,7 +131,7 @@ def vehicle_clocks(
     if exchanges is not None:
         host, _, fields = exchanges
         trip = host - fields["ts1"]
-        answered = (fields["tc1"] > 0) & (trip >= 0) & (trip < _LONGEST_TRIP_NS)
+        answered = (fields["tc1"] > 0) & (trip >= 0) & (trip < longest_trip_ns)
         boot, trip = (values[answered].astype(np.int64) for values in (fields["tc1"], trip))
         synced = time_sync(boot, host[answered], trip)
         clocks += [] if synced is None else [synced.host_of_boot]

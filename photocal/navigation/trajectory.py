@@ -17,8 +17,6 @@ COLUMNS = (
     "time_gps_ns", "lat_deg", "lon_deg", "height_m", "status", "se", "sn", "su", "sen", "seu", "snu",
 )  # fmt: skip
 LARGEST_GAP_S = 1.5
-_PRIOR_TRIALS = 10
-_WINDOW_NS = 30_000_000_000
 
 
 class Geodetic(TableColumns, Columns):
@@ -191,12 +189,16 @@ def roughness(trials: InterpolationTrials, time: GpsTime) -> Floats:
 
 def local_mean_square(trial: GpsTime, square: Floats, time: GpsTime) -> Floats:
     """Return the mean of squares (n, 3) of trials within 30 s of instants, drawn to that of all."""
+    # The mean of the flight counts as this many trials beside those near by.
+    prior_trials = 10
+    # Motion is alike within this time.
+    window_ns = 30_000_000_000
     total = np.mean(square, axis=0)
     sums = np.vstack([np.zeros(3), np.cumsum(square, axis=0)])
-    low = np.searchsorted(trial.ns, time.ns - _WINDOW_NS)
-    high = np.searchsorted(trial.ns, time.ns + _WINDOW_NS, side="right")
+    low = np.searchsorted(trial.ns, time.ns - window_ns)
+    high = np.searchsorted(trial.ns, time.ns + window_ns, side="right")
     number = (high - low)[:, None]
-    return np.asarray((sums[high] - sums[low] + _PRIOR_TRIALS * total) / (number + _PRIOR_TRIALS))
+    return np.asarray((sums[high] - sums[low] + prior_trials * total) / (number + prior_trials))
 
 
 def interpolate(

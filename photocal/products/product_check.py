@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from photocal.accuracy.discrepancies import Discrepancies
 from photocal.accuracy.ground_points import GroundPoints
-from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
+from photocal.base.policy import policy
 from photocal.block.table import read_table
 from photocal.products.options import ProductOptions
 from photocal.products.raster import RasterFile, describe, opened, terrain_source
@@ -196,7 +196,7 @@ def _gravity(grey: NDArray[np.float32], radius: float) -> tuple[float, float]:
     around = float(np.median(outside))
     weight = np.abs(grey - around)
     # What the surroundings do by themselves would pull towards the middle of the window.
-    weight[weight < 3 * policy.MAD_TO_SIGMA * np.median(np.abs(outside - around))] = 0
+    weight[weight < 3 * policy.mad_to_sigma * np.median(np.abs(outside - around))] = 0
     for _ in range(5):
         near = weight * (np.hypot(index[:, None] - y, index - x) <= radius + 1.5)
         total = near.sum()

@@ -4,7 +4,7 @@ import numpy as np
 from scipy import special
 
 from photocal.adjustment.readout import Readout
-from photocal.base import policy
+from photocal.base.policy import policy
 from photocal.findings.digits import power_of_ten, symbol, unit_power
 from photocal.findings.document import (
     Column,
@@ -121,7 +121,7 @@ def _opinions(camera_id: str, run: AnalysedRun) -> dict[str, tuple[float | None,
 
 def critical_t(dof: int) -> float:
     """Two-sided 95 % point of Student's distribution."""
-    return float(special.stdtrit(max(dof, 1), (1.0 + policy.CONFIDENCE) / 2.0))
+    return float(special.stdtrit(max(dof, 1), (1.0 + policy.confidence) / 2.0))
 
 
 def insignificant(camera: Camera, dof: int) -> list[str]:

@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, FiniteFloat, PositiveFloat
 
-from photocal.base import policy
 from photocal.base.checked_toml import Table, checked_tables, read_tables
 from photocal.base.errors import ConfigurationError
+from photocal.base.policy import policy
 
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Sigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
@@ -145,7 +145,7 @@ class UncertaintyKeys(Table):
     """
 
     of_c: dict[Source, PositiveFloat] = Field(default_factory=dict)
-    common_height_m: PositiveFloat = policy.COMMON_HEIGHT_M
+    common_height_m: PositiveFloat = policy.common_height_m
 
 
 class ResponsibleKeys(Table):

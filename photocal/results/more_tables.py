@@ -13,9 +13,9 @@ from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.reliability import reliability
 from photocal.adjustment.solution import Solution
-from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
+from photocal.base.policy import policy
 from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock, plane_per_unit
 from photocal.block.table import write_table
@@ -65,7 +65,7 @@ def more_figures(
             name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in mean.items()
         },
         "control_residuals": _control_residuals(block, assembly, points),
-        "reliability": {"significance": policy.SIGNIFICANCE, "power": policy.POWER}
+        "reliability": {"significance": policy.significance, "power": policy.power}
         if wanted.reliability
         else None,
         "ellipses": None if wanted.ellipses is None else {"probability": wanted.ellipses},

@@ -11,8 +11,6 @@ from photocal.results.result import Figures
 
 # Where a certificate carries them.
 CARRIED = "inputs"
-# Folders below the current one that are looked into: `practice/site/work` is three deep.
-DEPTH = 3
 
 
 @dataclass(frozen=True)
@@ -75,10 +73,12 @@ def block_of_run(run: Path, result: Figures, given: Path | None, here: Path) -> 
 
 def _candidates(run: Path, result: Figures, here: Path) -> Iterator[Path]:
     """Folders that may be it: the one that the run names, then the nearest to the run first."""
+    # Folders below the current one that are looked into: `practice/site/work` is three deep.
+    deepest = 3
     if result.block.source:
         yield run / result.block.source
     setup = result.block.setup or "block.toml"
-    for base, depth in ((run, 0), (run.parent, 1), (here, DEPTH)):
+    for base, depth in ((run, 0), (run.parent, 1), (here, deepest)):
         for level in range(depth + 1):
             yield from sorted(_root(path, setup) for path in base.glob("*/" * level + setup))
 

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 _WIDE_IN, _HIGH_IN = 6.7, 3.2
 # Of the arrows: so much of the width of the format for one of their usual length.
 _SHARE = 0.05
-_MOST_ARROWS = 4000
 _MARKS = {"control": ("^", "tab:red"), "check": ("s", "tab:green"), "tie": (".", "0.7")}
 
 
@@ -48,6 +47,8 @@ class Plots:
         ConfigurationError
             For a camera that is not in the result, or without accepted observations.
         """
+        # More would be a grey surface.
+        most_arrows = 4000
         result, name = self._result, self._result.camera(camera).id
         rays = result.residuals_of(name)
         if not len(rays):
@@ -56,7 +57,7 @@ class Plots:
         figure = _figure()
         over, spread = figure.subplots(1, 2, width_ratios=(3, 2))
         rms = float(np.sqrt(np.mean(rays.residual**2)))
-        chosen = np.linspace(0, len(rays) - 1, min(len(rays), _MOST_ARROWS)).astype(int)
+        chosen = np.linspace(0, len(rays) - 1, min(len(rays), most_arrows)).astype(int)
         (x, y), (u, v) = rays.measured[chosen].T, rays.residual[chosen].T
         scale = max(rms, 1e-12) / (_SHARE * max(float(np.ptp(x)), 1e-9))
         # In pixels y points down, in the plane of the photo up: so do the arrows.

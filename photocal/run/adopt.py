@@ -16,7 +16,7 @@ from photocal.adjustment.variance_components import estimate_components
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, NotConvergedError, PhotocalError
 from photocal.base.files import write_json
-from photocal.base.policy import FEWEST_CONTROL
+from photocal.base.policy import policy
 from photocal.base.progress import Progress
 from photocal.block.model import Block
 from photocal.block.mounting import make_mounting
@@ -112,7 +112,7 @@ def _with_positions(foreign: ForeignProject) -> Block:
     """The block that is adjusted; positions may be shifted all alike where control says so."""
     block = foreign.block
     known = np.flatnonzero(np.isfinite(foreign.position).all(axis=1))
-    controlled = int(block.points.of_role("control").sum()) >= FEWEST_CONTROL
+    controlled = int(block.points.of_role("control").sum()) >= policy.fewest_control
     held = np.isfinite(block.images.sigma).any()
     if not (len(known) or block.points.of_role("control").any() or held):
         return replace(block, datum="free")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from photocal.base.errors import IllPosedError
-from photocal.base.policy import FEWEST_CONTROL
+from photocal.base.policy import policy
 from photocal.block.model import ROLES
 from photocal.block.network import block_frame, frame_of
 from photocal.exchange.foreign_project import ForeignProject
@@ -55,7 +55,7 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
     tracks = Tracks(track, seen.image[order], seen.values[order], np.ones(len(order)))
     places = intersected(views_of(block, own), tracks)
     met = np.isfinite(places).all(axis=1)
-    if met.sum() < FEWEST_CONTROL:
+    if met.sum() < policy.fewest_control:
         raise IllPosedError(
             f"{int(met.sum())} control points of the list are marked in two images and more",
             "three that are not in a line bring the block onto them",

@@ -14,7 +14,7 @@ from photocal.adjustment.snooping import ray_fit, robust_state, subset
 from photocal.adjustment.state import start_state
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.files import write_rows
-from photocal.base.policy import LEAST_CHECKED
+from photocal.base.policy import policy
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import assemble, behind_cameras, block_frame
 from photocal.block.rig import Head
@@ -58,7 +58,7 @@ def without_gross_rays(foreign: ForeignProject, output: Path) -> ForeignProject:
     # Residuals are as much smaller than errors as unknowns take from them; of the lengths of pairs of normal
     # deviates the median is known, and what one in all exceeds.
     taken = (3 * len(network.point_names) + 6 * len(network.image_names)) / (2 * len(fit))
-    limit = np.sqrt(np.log(2 * len(fit)) / np.log(2) / max(1 - taken, LEAST_CHECKED))
+    limit = np.sqrt(np.log(2 * len(fit)) / np.log(2) / max(1 - taken, policy.least_checked))
     for kind in (tie[seen.point[rays]], ~tie[seen.point[rays]]):
         gross[rays[kind]] = fit[kind] > limit * np.median(fit[kind])
     if not gross.any():

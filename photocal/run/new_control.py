@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from photocal.base.errors import ConfigurationError, PhotocalError
-from photocal.base.policy import FEWEST_CONTROL
+from photocal.base.policy import policy
 from photocal.block.model import NO_POINTS, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.geometry.frames import system_of
@@ -97,7 +97,7 @@ def settle(
         _with_marks(made, given, told, facts, folder)
     matters = bool(placed) or flown
     # Nothing that is asked may be of no use.
-    placeable = matters or made.fixing >= FEWEST_CONTROL
+    placeable = matters or made.fixing >= policy.fewest_control
     _with_system(made, "" if given is None else given.crs, placed, placeable=placeable)
     _with_heights(made, placed, matters=matters, flown=flown)
     if made.points.names:
@@ -107,10 +107,10 @@ def settle(
         here = made.points.only(np.array([k for k in range(len(made.points.names)) if k not in gone], int))
         made.doubtful += [f"control: {line}" for line in (*twins(here), *heights_apart(here))]
         made.doubtful += [f"control: {line}" for line in alone(made.marks, made.points)]
-        if not matters and made.fixing < FEWEST_CONTROL:
+        if not matters and made.fixing < policy.fewest_control:
             made.missing.append(
-                f"{made.fixing} control points are marked in two pictures and more, {FEWEST_CONTROL} place a "
-                "block: it will be calibrated, not georeferenced"
+                f"{made.fixing} control points are marked in two pictures and more, "
+                f"{policy.fewest_control} place a block: it will be calibrated, not georeferenced"
             )
     made.doubtful += [f"not used: {line}" for line in made.refused]
     return made

@@ -11,7 +11,7 @@ import numpy as np
 
 from photocal.base.errors import InputNotFoundError, OutputError
 from photocal.base.files import output_file, rows_text
-from photocal.base.policy import FEWEST_CONTROL
+from photocal.base.policy import policy
 from photocal.block.model import NO_POINTS, ROLES, ObjectPoints
 from photocal.block.network import OTHER_SURFACE_M
 from photocal.findings.texts import catalogue, finding_text, plain
@@ -409,8 +409,8 @@ class _Text:
         marked = len({mark.point for mark in self.marks})
         if not self.marks:
             self.missing.append("no marks of the control points: photocal mark project.toml")
-        elif marked < FEWEST_CONTROL and self.placed:
-            self.missing.append(f"{marked} control points are marked; {FEWEST_CONTROL} fix a block")
+        elif marked < policy.fewest_control and self.placed:
+            self.missing.append(f"{marked} control points are marked; {policy.fewest_control} fix a block")
         if not points.of_role("check").any():
             self.missing.append("no check points: give some points of control.csv the role check")
 

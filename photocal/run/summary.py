@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from photocal.base import policy
 from photocal.base.arrays import as_plain
+from photocal.base.policy import policy
 from photocal.block.model import InputFile
 from photocal.findings.digits import with_sigma
 from photocal.findings.finding import Finding, of_global_test
@@ -208,7 +208,7 @@ def calibration_findings(result: Result) -> Iterator[Finding]:
         given = camera.values if camera.given is None else camera.given
         for k, key in enumerate(PARAMETERS):
             prior, away = float(camera.prior_sigma[k]), abs(float(camera.values[k] - given[k]))
-            if not 0 < prior < math.inf or away <= policy.CONTRADICTED * prior:
+            if not 0 < prior < math.inf or away <= policy.contradicted * prior:
                 continue
             figures = {"camera": name, "parameter": key, "value": camera.value(key), "unit": camera.unit}
             figures |= {"given": float(given[k]), "sigmas": away / prior}

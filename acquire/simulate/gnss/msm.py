@@ -17,11 +17,8 @@ _STATION = 1
 _MS_M = LIGHT_M_S * 1e-3
 # What stands for "no value" in the signed fields.
 _NO_FINE_CODE, _NO_FINE_PHASE, _NO_FINE_RATE, _NO_RATE = -(1 << 19), -(1 << 23), -(1 << 14), -(1 << 13)
-# A message carries at most 64 cells.
-_MOST_CELLS = 64
 _STATION_EVERY_S, _EPHEMERIS_EVERY_S = 10, 30
 _STATION_LATENCY_NS = 110_000_000
-_MJD_1970 = 40_587
 # In the order of 1019 and 1046.
 _ORBIT = "crs delta_n m0 cuc e cus sqrt_a toe cic omega0 cis i0 crc omega omega_dot"
 
@@ -47,13 +44,15 @@ def observation_messages(observations: SatelliteObservations) -> Iterator[tuple[
 
 def _body(rows: NDArray[np.void], observations: SatelliteObservations) -> str:
     """Return the masks, the satellites and the signals of one system."""
+    # A message carries at most 64 cells.
+    most_cells = 64
     satellites = np.unique(rows["satellite"]).tolist()
     signals = sorted({observations.signal(s, n).msm for s in satellites for n in np.unique(rows["signal"])})
     numbers = [observations.satellites[s].truth.number for s in satellites]
     place = {(int(r["satellite"]), observations.signal(r["satellite"], r["signal"]).msm): r for r in rows}
     cells = [(s, m) for s in satellites for m in signals]
-    if len(cells) > _MOST_CELLS:
-        raise OverflowError(f"{len(cells)} cells in one message, {_MOST_CELLS} are allowed")
+    if len(cells) > most_cells:
+        raise OverflowError(f"{len(cells)} cells in one message, {most_cells} are allowed")
     masks = _mask(numbers, 64) + _mask(signals, 32) + "".join(str(int(cell in place)) for cell in cells)
     kept = [place[cell] for cell in cells if cell in place]
     firsts = {s: next(r for r in kept if r["satellite"] == s) for s in satellites}
@@ -118,10 +117,12 @@ def positions(session: Session) -> list[tuple[int, bytes]]:
 
 def dates(session: Session) -> Iterator[tuple[int, bytes]]:
     """Yield 1013: modified Julian day, second of the day and leap seconds."""
+    # Modified Julian Date of 1970-01-01.
+    mjd_1970 = 40_587
     leap_s = session.sky.leap_s
     for time in _times(session, _STATION_EVERY_S):
         day, of_day = divmod(time + GPS_EPOCH_NS - leap_s * SECOND_NS, DAY_NS)
-        fields = [(day + _MJD_1970, 16), (of_day // SECOND_NS, 17), (0, 5), (leap_s, 8)]
+        fields = [(day + mjd_1970, 16), (of_day // SECOND_NS, 17), (0, 5), (leap_s, 8)]
         yield time + _STATION_LATENCY_NS, octets(joined([(1013, 12), (_STATION, 12), *fields]))
 
 

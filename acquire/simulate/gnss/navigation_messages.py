@@ -36,12 +36,9 @@ _SUBFRAME_4 = (
     *(56, 58, 59, 57, 60, 61, 62, 63),
 )
 KIND = 0x0213
-# Travel time of the signal and the work of the receiver.
-_LATENCY_NS = 120_000_000
 _NOMINAL_ROOT = 29_600_000.0**0.5
 _NOMINAL_TILT = 56.0 / 180.0
 _ISSUE = (1, 4)
-_SUBFRAME_S = 30
 
 Bits = list[tuple[int, int]]
 # Word types of one subframe of 30 s (tables 42 and 43). 0 is the spare word, which carries the time; in the
@@ -221,6 +218,8 @@ def messages(
     observations: SatelliteObservations, span_gps_ns: tuple[int, int], sky: SkySettings
 ) -> Iterator[tuple[int, bytes]]:
     """Yield time of sending (GPS ns) and payload of all that was received whole."""
+    # Travel time of the signal and the work of the receiver.
+    latency_ns = 120_000_000
     seconds = (observations.clock.tag_gps_ns - span_gps_ns[0]) / SECOND_NS
     almanacs = {
         system: tuple(s.truth for s in observations.satellites if s.system == system) for system in _SOURCES
@@ -239,7 +238,7 @@ def messages(
                 head = struct.pack(
                     "8B", UBX_SYSTEM[sent.system], sent.number, source.ubx, 0, len(words), index % 60, 2, 0
                 )
-                received = (gps_s + source.length_s) * SECOND_NS + _LATENCY_NS
+                received = (gps_s + source.length_s) * SECOND_NS + latency_ns
                 yield received, head + struct.pack(f"<{len(words)}I", *words)
 
 
@@ -266,7 +265,9 @@ def _whole(count: Integers, seconds: Floats, begin: float, length: float) -> boo
 
 def almanac_word(second: bool, tow: int, almanacs: Sequence[Ephemeris]) -> str:
     """Return word 7 or 9 (first of its subframe) or 8 or 10 (second), 128 bits."""
-    count = tow // _SUBFRAME_S
+    # Five subframes of 6 s.
+    frame_s = 30
+    count = tow // frame_s
     first = 3 * (count // 2) % len(almanacs)
     sv1, sv2, sv3 = (almanacs[(first + k) % len(almanacs)] for k in range(3))
     reference = [((sv1.week - GST_BEHIND_WEEKS) % 4, 2), (round(sv1.value("toe")) // 600, 10)]

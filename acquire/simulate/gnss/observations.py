@@ -16,15 +16,9 @@ from photocal.base.time_scales import SECOND_NS
 _LOCKED_BEFORE_S, _ACQUIRING_S, _RELOCKING_S = (60.0, 900.0), (0.5, 4.0), (0.05, 0.6)
 # Until the navigation data have shown the sign of the phase.
 _HALF_CYCLE_S = (0.6, 6.0)
-_LARGEST_SLIP = 40
 # A code loop of 0.5 Hz with correlators 0.2 chips apart, a phase loop of 10 Hz over 20 ms.
 _CODE_LOOP_HZ, _SPACING, _PHASE_LOOP_HZ, _INTEGRATION_S = 0.5, 0.2, 10.0, 0.02
 _FADING_DB, _FADING_S = 0.7, 3.0
-_LOW_GAIN_DB = 13.0
-_SIGNAL_ORDER = 2
-# Below this a receiver of this kind holds nothing.
-_WEAKEST_DBHZ = 22.0
-_COARSE_S = 60
 
 ROW = np.dtype(
     [
@@ -120,10 +114,12 @@ def track(
 def _arcs(
     seconds: Floats, code: Flags, starts: Floats, ends: Floats, data: bool, rng: np.random.Generator
 ) -> Tracking:
+    # Cycles that a slip is long at the most.
+    largest_slip = 40
     count = len(starts)
     # Steps of 1 to 80 cycles, modulo 81: two arcs in a row never have the same number.
-    values = 2 * _LARGEST_SLIP + 1
-    whole = (np.cumsum(rng.integers(1, values, count)) % values - _LARGEST_SLIP).astype(np.float64)
+    values = 2 * largest_slip + 1
+    whole = (np.cumsum(rng.integers(1, values, count)) % values - largest_slip).astype(np.float64)
     # A slip while the lock is being found again only delays it.
     starts = np.maximum.accumulate(starts)
     known = starts + rng.uniform(*_HALF_CYCLE_S, count) if data else starts
@@ -157,7 +153,9 @@ class Noise:
 
 def thermal(signal: Signal, elevation: Floats, model: ReceiverModel, rng: np.random.Generator) -> Noise:
     """Return strength and noise of a signal (Kaplan and Hegarty 2006, equations 5.15 and 5.8)."""
-    gain = _LOW_GAIN_DB * (1 - np.sin(np.maximum(elevation, 0.0)) ** 0.7)
+    # A patch antenna loses this much from the zenith to the horizon.
+    low_gain_db = 13.0
+    gain = low_gain_db * (1 - np.sin(np.maximum(elevation, 0.0)) ** 0.7)
     fading = correlated(len(elevation), model.interval_s / _FADING_S, 1, rng)[0]
     cn0 = model.cn0_dbhz - signal.weaker_db - gain + _FADING_DB * fading
     power = 10 ** (cn0 / 10)
@@ -206,6 +204,8 @@ def observe(
     gaps_s: tuple[tuple[float, float], ...] = (),
 ) -> SatelliteObservations:
     """Measure through a session."""
+    # Two signals of each system.
+    signal_order = 2
     start = span_gps_ns[0]
     clock = run_clock(model, *span_gps_ns, rng)
     true_ns = clock.true_gps_ns
@@ -216,7 +216,7 @@ def observe(
     for begin, end in gaps_s:
         off |= (seconds >= begin) & (seconds < end)
     epochs = _Epochs(seconds, start, true_ns, clock, here, off)
-    biases = rng.normal(0, model.code_bias_m, (len(SIGNALS), _SIGNAL_ORDER))
+    biases = rng.normal(0, model.code_bias_m, (len(SIGNALS), signal_order))
     parts = []
     for index, (satellite, chance) in enumerate(zip(satellites, rng.spawn(len(satellites)), strict=True)):
         bias = biases[list(SIGNALS).index(satellite.system)]
@@ -245,6 +245,8 @@ def _satellite(
     biases: Floats,
     rng: np.random.Generator,
 ) -> list[NDArray[np.void]]:
+    # Below this a receiver of this kind holds nothing.
+    weakest_dbhz = 22.0
     mask = np.radians(model.mask_deg)
     if not _ever_up(satellite, epochs, mask):
         return []
@@ -259,7 +261,7 @@ def _satellite(
     parts = []
     for number, (signal, chance) in enumerate(zip(SIGNALS[satellite.system], rng.spawn(2), strict=True)):
         noise = thermal(signal, way.elevation, model, chance)
-        arrives = above & ~epochs.blocked & (noise.cn0_dbhz > _WEAKEST_DBHZ)
+        arrives = above & ~epochs.blocked & (noise.cn0_dbhz > weakest_dbhz)
         held = track(epochs.seconds, arrives, model.slips_per_hour, signal.data, chance)
         delay = layer * on(signal.frequency_hz)
         code = slow + delay + LIGHT_M_S * group_delay_s(satellite, number) + biases[number]
@@ -273,7 +275,8 @@ def _satellite(
 
 def _ever_up(satellite: Satellite, epochs: _Epochs, mask: float) -> bool:
     """Look once a minute, with a margin for what rises in between (half a degree a minute)."""
-    step = max(round(_COARSE_S / max(float(np.median(np.diff(epochs.seconds))), 1e-3)), 1)
+    coarse_s = 60
+    step = max(round(coarse_s / max(float(np.median(np.diff(epochs.seconds))), 1e-3)), 1)
     chosen = np.unique(np.append(np.arange(0, len(epochs.seconds), step), len(epochs.seconds) - 1))
     coarse = link(satellite, epochs.seconds[chosen], epochs.origin_ns, epochs.place.rows(chosen))
     return bool((coarse.elevation > mask - np.radians(1.0)).any())

@@ -17,16 +17,14 @@ from drivers.ubx.decode import signal_layout
 from photocal.base.arrays import Floats, Integers
 from photocal.base.time_scales import SECOND_NS, WEEK_S
 
-KIND = 0x0215
-# From the measurement until the message is complete on a fast line.
-_LATENCY_NS = 60_000_000
 _LEAP_KNOWN, _CLOCK_RESET, _VERSION = 0x01, 0x02, 1
-_LONGEST_LOCK_MS = 64_500
 Timed = tuple[int, bytes]
 
 
 def messages(observations: SatelliteObservations, leap_s: int) -> Iterator[tuple[int, bytes]]:
     """Yield time of sending (GPS ns) and payload, one per epoch that has signals."""
+    # From the measurement until the message is complete on a fast line.
+    latency_ns = 60_000_000
     rows = observations.rows
     records = _records(observations).tobytes()
     clock = observations.clock
@@ -38,10 +36,12 @@ def messages(observations: SatelliteObservations, leap_s: int) -> Iterator[tuple
         week, of_week = divmod(int(clock.tag_gps_ns[epoch]), WEEK_S * SECOND_NS)
         status = _LEAP_KNOWN | (_CLOCK_RESET if clock.step[epoch] else 0)
         head = struct.pack("<dHbBBB2x", of_week / SECOND_NS, week, leap_s, after - first, status, _VERSION)
-        yield int(true_ns[epoch]) + _LATENCY_NS, head + records[first * 32 : after * 32]
+        yield int(true_ns[epoch]) + latency_ns, head + records[first * 32 : after * 32]
 
 
 def _records(observations: SatelliteObservations) -> NDArray[np.void]:
+    # The interface description caps the time of lock here.
+    longest_lock_ms = 64_500
     rows = observations.rows
     satellites = observations.satellites
     out = np.zeros(len(rows), signal_layout())
@@ -51,7 +51,7 @@ def _records(observations: SatelliteObservations) -> NDArray[np.void]:
     out["prMes"], out["cpMes"], out["doMes"] = rows["code_m"], rows["phase_cycles"], rows["doppler_hz"]
     out["gnssId"], out["svId"] = systems[rows["satellite"]], numbers[rows["satellite"]]
     out["sigId"] = signals[rows["satellite"], rows["signal"]]
-    out["locktime"] = np.minimum(np.floor(rows["lock_s"] * 1e3), _LONGEST_LOCK_MS)
+    out["locktime"] = np.minimum(np.floor(rows["lock_s"] * 1e3), longest_lock_ms)
     out["cno"] = np.rint(rows["cn0_dbhz"])
     out["prStdev"] = _power_of_two(rows["code_sigma_m"], 0.01)
     phase_sigma = np.clip(np.ceil(rows["phase_sigma_cycles"] / 0.004), 1, 15)
@@ -105,8 +105,10 @@ def base_ubx(session: Session) -> Stream:
 
 def _raw(session: Session, receiver: SatelliteObservations) -> list[list[Timed]]:
     """Return what a receiver measured, and what the satellites told it."""
+    # UBX-RXM-RAWX.
+    raw_kind = 0x0215
     broadcast = navigation_messages.messages(receiver, session.span_gps_ns, session.sky)
-    return [_ubx(KIND, messages(receiver, session.sky.leap_s)), _ubx(navigation_messages.KIND, broadcast)]
+    return [_ubx(raw_kind, messages(receiver, session.sky.leap_s)), _ubx(navigation_messages.KIND, broadcast)]
 
 
 def base_rtcm(session: Session) -> Stream:

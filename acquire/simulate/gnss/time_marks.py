@@ -16,7 +16,6 @@ from photocal.base.time_scales import SECOND_NS, WEEK_S
 
 KIND = 0x0D03
 TimeBase = Literal["receiver", "gnss", "utc"]
-_LATENCY_NS = 90_000_000
 _RUNNING, _FALLING, _UTC_KNOWN, _VALID, _RISING = 0x01, 0x04, 0x20, 0x40, 0x80
 _BASE = {"receiver": 0, "gnss": 1, "utc": 2}
 
@@ -51,6 +50,8 @@ def messages(
 
     leap_s: GPS time minus UTC.
     """
+    # From an edge to its message on the wire.
+    latency_ns = 90_000_000
     true_ns = clock.true_gps_ns
     latest = [0, 0]
     for epoch, count, edges in _marks(events, true_ns):
@@ -66,7 +67,7 @@ def messages(
         accuracy_ns = max(round(events.accuracy_s * SECOND_NS), 1)
         head = struct.pack("<BBHHH", 0, flags, count % 65_536, rising_week, falling_week)
         body = struct.pack("<5I", *rising, *falling, accuracy_ns)
-        yield int(true_ns[epoch]) + _LATENCY_NS, head + body
+        yield int(true_ns[epoch]) + latency_ns, head + body
 
 
 def _marks(events: Pulses, true_ns: Integers) -> Iterator[tuple[int, int, tuple[int | None, int | None]]]:

@@ -20,7 +20,6 @@ from photocal.base.errors import ConfigurationError
 
 # Format and values of each column, by its name.
 Columns = dict[str, tuple[str, Iterable[Any]]]
-_LEAST_SLIP_M = 0.5
 
 
 def write_block(world: World, observed: MeasuredPoints, folder: Path) -> None:
@@ -234,11 +233,13 @@ def take_notes(world: World, coordinates: Floats) -> FieldBook:
 
 def _swapped(texts: tuple[str, ...]) -> tuple[str, ...]:
     """Swap two neighbouring digits of a coordinate, the last ones that make half a metre."""
+    # A slip of the pen by less would pass for noise.
+    least_slip_m = 0.5
     for axis, text in enumerate(texts):
         for place in range(len(text) - 2, -1, -1):
             pair = text[place : place + 2]
             changed = text[:place] + pair[::-1] + text[place + 2 :]
-            if pair.isdigit() and abs(float(changed) - float(text)) >= _LEAST_SLIP_M:
+            if pair.isdigit() and abs(float(changed) - float(text)) >= least_slip_m:
                 return (*texts[:axis], changed, *texts[axis + 1 :])
     # All digits of all coordinates alike: a metre is missed instead.
     return (f"{float(texts[0]) + 1:.4f}", *texts[1:])

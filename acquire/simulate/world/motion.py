@@ -13,13 +13,11 @@ from acquire.simulate.world import configuration
 from acquire.simulate.world.camera import TrueCamera
 from photocal.base.arrays import Floats
 
-_CLIMB_M_S = 4.0
 GRAVITY_M_S2 = 9.80665
 # Control points of the way: a spline of degree 5 turns a corner within six of these intervals, its curvature
 # and even the change of its curvature continuous.
 KNOT_S = 1.0
 DEGREE = 5
-_AIRBORNE_M = 2.0
 # East, north, up to north, east, down.
 TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -88,6 +86,8 @@ def legs(
     plan: configuration.Plan, lines: tuple[FlownStrip, ...], ground_m: float
 ) -> tuple[Floats, list[Leg]]:
     """Join the strips to one way, from the ground to the ground."""
+    # As multicopters are set to climb and sink.
+    climb_m_s = 4.0
     home = np.array([*plan.take_off_m, ground_m])
     way = [Leg(home, plan.on_ground_s)]
 
@@ -103,13 +103,13 @@ def legs(
         run_up = 3.0 * line.speed_m_s
         here = way[-1].to_m
         if abs(here[2] - line.begin_m[2]) > 1.0:
-            go(np.array([*here[:2], line.begin_m[2]]), _CLIMB_M_S)
+            go(np.array([*here[:2], line.begin_m[2]]), climb_m_s)
         go(line.begin_m - run_up * ahead, line.speed_m_s)
         go(line.begin_m, line.speed_m_s)
         go(line.end_m, line.speed_m_s, number)
         go(line.end_m + run_up * ahead, line.speed_m_s)
     go(np.array([*home[:2], way[-1].to_m[2]]), lines[-1].speed_m_s)
-    go(home, _CLIMB_M_S)
+    go(home, climb_m_s)
     return home, [*way, Leg(home, plan.on_ground_s)]
 
 
@@ -173,8 +173,10 @@ class Motion:
 
     def _airborne(self, time: Floats) -> tuple[Floats, Floats, Floats]:
         """Give how far the vehicle is in the air, 0 to 1, with its first two derivatives, shape (n, 1)."""
-        rise = (self.way(time)[:, 2] - self.ground_m) / _AIRBORNE_M
-        rate, curve = (self.way(time, nu=k)[:, 2] / _AIRBORNE_M for k in (1, 2))
+        # Wind takes hold within the first metres above the ground.
+        airborne_m = 2.0
+        rise = (self.way(time)[:, 2] - self.ground_m) / airborne_m
+        rate, curve = (self.way(time, nu=k)[:, 2] / airborne_m for k in (1, 2))
         squared = rise**2
         share = squared / (1 + squared)
         slope = 2 * rise / (1 + squared) ** 2

@@ -26,11 +26,7 @@ _SOIL, _GRASS = np.array([95.0, 125.0, 150.0]), np.array([62.0, 118.0, 96.0])
 _SUN = np.array([-0.45, 0.45, 0.77])
 _STONES_PER_M2, _STONE_M = 0.6, (0.03, 0.2)
 _FADE, _CONTRAST = 0.82, 15.0
-_TRACKS = 6
 MEAN_GREY = 128
-# Samples along the side of a pixel.
-SAMPLES = 5
-MARGIN_CELLS = 1
 BLACK, WHITE = 25.0, 225.0
 GRID_PX = 8
 
@@ -96,6 +92,8 @@ def _detail(count: int, random: np.random.Generator) -> Bytes:
 
 def _scatter(detail: Bytes, texel_m: float, random: np.random.Generator) -> None:
     """Lay stones and tufts on the ground, and tracks of vehicles across it."""
+    # Paths that cross the ground.
+    tracks = 6
     import cv2
 
     count = detail.shape[0]
@@ -106,7 +104,7 @@ def _scatter(detail: Bytes, texel_m: float, random: np.random.Generator) -> None
     greys = np.clip(MEAN_GREY + random.choice([-1, 1], stones) * random.uniform(25, 75, stones), 30, 225)
     for centre, radius, grey in zip(centres.tolist(), radii.tolist(), greys.tolist(), strict=True):
         cv2.circle(detail, centre, max(round(radius * 16), 8), grey, -1, cv2.LINE_AA, 4)
-    for _ in range(_TRACKS):
+    for _ in range(tracks):
         ends = random.integers(0, count, (2, 2))
         middle = ends.mean(axis=0) + random.normal(0, count / 10, 2)
         share = np.linspace(0, 1, 60)[:, None]
@@ -178,6 +176,8 @@ class Plate:
 
 def make_plate(centre_m: Floats, turn: float, code: int, dictionary: str, side_m: float) -> Plate:
     """Make the plate of a code; `side_m` is the side of the dark border, as surveyors give it."""
+    # A white margin of one cell around the code.
+    margin_cells = 1
     codes = dictionary_of(dictionary)
     if code >= len(codes.bytesList):
         raise ConfigurationError(
@@ -188,7 +188,7 @@ def make_plate(centre_m: Floats, turn: float, code: int, dictionary: str, side_m
     cells = int(codes.markerSize) + 2
     marker = codes.generateImageMarker(code, cells)
     pattern = np.where(np.asarray(marker) > 0, WHITE, BLACK)
-    pattern = np.pad(pattern, MARGIN_CELLS, constant_values=WHITE)
+    pattern = np.pad(pattern, margin_cells, constant_values=WHITE)
     return Plate(centre_m, turn, side_m / cells, pattern)
 
 
@@ -295,6 +295,8 @@ def _poses(world: World, number: int, rows: Floats) -> Pose:
 
 def _lay(picture: Bytes, plate: Plate, scene: PaintedScene, number: int) -> None:
     """Draw a plate into a picture."""
+    # Samples along the side of a pixel.
+    samples = 5
     world, camera = scene.world, scene.world.exposures.cameras[number]
     readout = world.configuration.camera.readout_s
     corners = seen_rolling(plate.corners_m, world.exposures, number, world.motion, world.rig, readout)
@@ -305,7 +307,7 @@ def _lay(picture: Bytes, plate: Plate, scene: PaintedScene, number: int) -> None
     if (high <= low).any():
         return
     (left, top), (right, bottom) = low.tolist(), high.tolist()
-    fine = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
+    fine = (np.arange(samples) + 0.5) / samples - 0.5
     rows = (np.arange(top, bottom)[:, None] + fine).ravel()
     columns = (np.arange(left, right)[:, None] + fine).ravel()
     nodes = scene.directions[camera]
@@ -313,9 +315,9 @@ def _lay(picture: Bytes, plate: Plate, scene: PaintedScene, number: int) -> None
     pose = _poses(world, number, rows)
     turned = local @ (TO_OPENCV @ pose.rotation)
     greys = plate.grey(np.broadcast_to(pose.centre_m[:, None], turned.shape), turned)
-    boxes = greys.reshape(bottom - top, SAMPLES, right - left, SAMPLES)
+    boxes = greys.reshape(bottom - top, samples, right - left, samples)
     covered = np.isfinite(boxes).mean(axis=(1, 3))
-    shown = np.nansum(boxes, axis=(1, 3)) / SAMPLES**2
+    shown = np.nansum(boxes, axis=(1, 3)) / samples**2
     beneath = picture[top:bottom, left:right]
     mixed = beneath * (1 - covered)[..., None] + shown[..., None]
     picture[top:bottom, left:right] = np.rint(mixed).astype(np.uint8)

@@ -16,7 +16,6 @@ from photocal.base.arrays import Floats, Integers, spread
 from photocal.base.errors import ConfigurationError
 
 GPS_EPOCH_UNIX_S = 315_964_800
-LEAST_ABOVE_GROUND_M = 5.0
 # Parts of the truth that are drawn one by one, so that a change of one leaves the others as they are.
 STREAMS = (
     "terrain", "targets", "rig", "motion", "exposures", "sky", "telemetry", "wires", "texture", "pictures",
@@ -204,15 +203,17 @@ def make_world(configuration: FlightConfiguration) -> World:
 
 def _require_room(configuration: FlightConfiguration, terrain: HeightField) -> None:
     """Refuse a flight into the ground."""
+    # Below, trees and the start of a strip would be in the way.
+    least_above_ground_m = 5.0
     area = np.array(configuration.plan.area_m)
     reach = np.linspace(1.3 * area.min(axis=0), 1.3 * area.max(axis=0), 40)
     top = float(terrain.height(*(axis.ravel() for axis in np.meshgrid(*reach.T))).max())
     lowest = min(pass_.height_m for pass_ in configuration.plan.passes)
-    if lowest < top + LEAST_ABOVE_GROUND_M:
+    if lowest < top + least_above_ground_m:
         raise ConfigurationError(
             f"a pass at {lowest:g} m is too low: the ground reaches {top:.1f} m",
             where="[[plan.pass]]",
-            remedy=f"fly at least {top + LEAST_ABOVE_GROUND_M:.0f} m above the origin, or take less relief_m",
+            remedy=f"fly at least {top + least_above_ground_m:.0f} m above the origin, or take less relief_m",
         )
 
 

@@ -23,7 +23,6 @@ PLENTY, FEWEST, BATCH = 10, 4, 0.5
 # A ray is left out when it misses its point by this many times the median, within these bounds (in principal
 # distances); so many of one point at most.
 UNLIKE, LEAST, ASTRAY = 8.0, 2e-3, 0.03
-STRAY_RAYS = 3
 # A pose holds when this share of its rays fits; of few rays more, for three points fit any pose.
 SHARE, SHARE_OF_FEW, MANY = 0.3, 0.6, 12
 # Of the interior orientation only this is estimated here, where the camera is to be estimated at all, from
@@ -126,12 +125,14 @@ def intersected(model: Model) -> Model:
 
     Rays that miss by far more than most are left out, one of a point at a time.
     """
+    # So many of one point at most.
+    stray_rays = 3
     seen = model.bearings
     rays = np.flatnonzero(model.oriented[seen.rays.image] & ~model.fixed[seen.rays.point])
     rays = rays[np.isfinite(seen.slopes[rays, 0])]
     if not len(rays):
         return model
-    for _ in range(STRAY_RAYS + 1):
+    for _ in range(stray_rays + 1):
         image, point = seen.rays.image[rays], seen.rays.point[rays]
         rotation, centre = model.rotation[image], model.centre[image]
         points = intersect(point, seen.points, centre, rotation, seen.slopes[rays], np.ones(len(rays)))

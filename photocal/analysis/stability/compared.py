@@ -18,8 +18,8 @@ from photocal.analysis.stability.comparison import (
 )
 from photocal.analysis.stability.joint import JointComparison, joint_comparison, joint_text
 from photocal.analysis.stability.methods import methods, sensor_grid
-from photocal.base import policy
 from photocal.base.arrays import as_plain
+from photocal.base.policy import policy
 
 SCHEMA = "photocal.comparison/1"
 
@@ -55,7 +55,7 @@ class Compared:
 
     def __str__(self) -> str:
         """Say it for people: a matrix for each method, then what differs."""
-        level = 1.0 - policy.CONFIDENCE
+        level = 1.0 - policy.confidence
         told = (_text(self.asked, self.pairs, self.followed), joint_text(self.joint, level))
         return "\n\n".join(filter(None, told))
 

@@ -10,10 +10,10 @@ from pydantic import FiniteFloat, PositiveFloat
 
 from photocal.analysis.stability import methods
 from photocal.analysis.stability.methods import IdealImage, Method, Misfit
-from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError
+from photocal.base.policy import policy
 from photocal.geometry.camera import Camera
 
 Wobble = tuple[IdealImage, ...]
@@ -105,7 +105,7 @@ def _figure(
         around += _drawn(method, field, change, z) / len(poses)
     p_value = float((1 + np.sum(noise >= value)) / (1 + draws))
     return ComparisonFigure(
-        *named, value, float(np.std(around)), float(np.quantile(noise, policy.CONFIDENCE)), p_value
+        *named, value, float(np.std(around)), float(np.quantile(noise, policy.confidence)), p_value
     )
 
 

@@ -75,8 +75,6 @@ def wobble(camera: Camera, pixels: Floats) -> tuple[IdealImage, ...] | None:
     return tuple(IdealImage(d, float(dc)) for d, dc in zip(changes, factor.T @ np.array(c), strict=True))
 
 
-# Steps of a pose below this (rad, or heights of the exposure) shrink by as much from one to the next.
-_SHRINKING = 1e-3
 Misfit = Callable[[IdealImage, IdealImage, Floats], Floats]
 
 
@@ -184,12 +182,14 @@ def fitted_pose(
 
 def pose_of(method: Method, misfit: Misfit, first: IdealImage, second: IdealImage) -> Floats:
     """Find the pose of least misfit."""
+    # Steps of a pose below this (rad, or heights of the exposure) shrink by as much from one to the next.
+    shrinking = 1e-3
     pose, design, before = np.zeros(method.pose_size), None, np.inf
     if method.pose_size == 0:
         return pose
     for _ in range(30):
         # Steps that shrink this fast need no new derivatives.
-        if design is None or before > _SHRINKING:
+        if design is None or before > shrinking:
             design = np.linalg.pinv(_design(misfit, first, second, pose))
         change = -design @ misfit(first, second, pose).ravel()
         if not np.all(np.isfinite(change)):

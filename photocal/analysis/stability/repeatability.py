@@ -10,8 +10,8 @@ import numpy as np
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from photocal.base import policy
 from photocal.base.arrays import Floats
+from photocal.base.policy import policy
 from photocal.geometry.camera import Camera
 from photocal.results.result import AdjustedHead
 
@@ -96,7 +96,7 @@ def _of_parameter(name: str, occasions: Sequence[Occasion]) -> Repeatability:
         math.sqrt(between),
         float(stats.chi2.sf(scatter, n - 1)),
         math.hypot(math.sqrt(between), sigma),
-        float(stats.t.ppf(0.5 + policy.CONFIDENCE / 2.0, n - 1)),
+        float(stats.t.ppf(0.5 + policy.confidence / 2.0, n - 1)),
         tuple(trend for trend in trends if trend is not None),
     )
 
@@ -190,7 +190,7 @@ class Moved:
     @property
     def different(self) -> bool:
         """Whether the head moved."""
-        return self.p_value < policy.REPEAT_SIGNIFICANCE
+        return self.p_value < policy.repeat_significance
 
 
 def compared_heads(calibrations: Mapping[str, Sequence[AdjustedHead]]) -> tuple[Moved, ...]:

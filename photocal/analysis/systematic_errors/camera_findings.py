@@ -7,7 +7,7 @@ from photocal.adjustment.factored import covariance_column
 from photocal.adjustment.removed import FEWEST
 from photocal.analysis.estimates import Estimates, f_test, scaled
 from photocal.analysis.systematic_errors.search import Search, camera_estimates
-from photocal.base import policy
+from photocal.base.policy import policy
 from photocal.findings.finding import Figure, Finding, Severity, Size
 from photocal.geometry.camera import PARAMETERS
 from photocal.hypotheses.findings import asked_of, ground_effect, in_sigmas
@@ -36,7 +36,7 @@ def of_datum(search: Search) -> list[Finding]:
     for k, camera in enumerate(search.first.network.cameras):
         sigma = float(np.sqrt(solution.camera_covariance[k, 0, 0]))
         by_m = float(shift.c_by_shift[k, 2])
-        if not sigma > 0.0 or abs(by_m) * shift.stated[2] < policy.SMALL_SIGMAS * sigma:
+        if not sigma > 0.0 or abs(by_m) * shift.stated[2] < policy.small_sigmas * sigma:
             continue
         by_cm: dict[str, Figure] = {
             "camera": camera.id,
@@ -55,7 +55,7 @@ def of_sigma(search: Search) -> list[Finding]:
     """Describe the assumed standard deviation of the image coordinates, when it is wrong."""
     sigma = search.sigma
     ratio = sigma.found / sigma.assumed
-    if sigma.p_value >= policy.FAMILY_SIGNIFICANCE or abs(ratio - 1.0) < policy.WRONG_SIGMA:
+    if sigma.p_value >= policy.family_significance or abs(ratio - 1.0) < policy.wrong_sigma:
         return []
     camera = search.last.network.cameras[0]
     scale, unit = (1000.0, "µm") if camera.unit == "mm" else (1.0, "px")
@@ -74,7 +74,7 @@ def of_sigma(search: Search) -> list[Finding]:
     if ratio < 1.0 and search.corrected:
         clauses.append("unseen")
     # Too large a standard deviation costs precision and harms nothing.
-    small = ratio < policy.BADLY_WRONG_SIGMA
+    small = ratio < policy.badly_wrong_sigma
     spread = (sigma.upper - sigma.lower) / 4.0 * scale
     size = Size(figure * scale, unit, spread, 0.0, 0.0, figure / min(camera.pitch))
     severity: Severity = "note" if small else "doubtful"
@@ -93,12 +93,12 @@ def of_bias(search: Search) -> list[Finding]:
         cost = search.last.solution.camera_covariance[k, 0, 0] - sigma**2
         # A bias below the spread over the images is lost in it (mean square error).
         spread = float(np.nan_to_num(search.jackknife_last.standard_error[k, 0]))
-        unsure = max(policy.SMALL_SIGMAS * sigma, spread, policy.TIMES_999 * np.sqrt(max(cost, 0.0)))
+        unsure = max(policy.small_sigmas * sigma, spread, policy.times_999 * np.sqrt(max(cost, 0.0)))
         if not sigma > 0.0 or abs(bias) < unsure:
             continue
         ground = ground_effect(search.first, k, bias)
         moved = in_sigmas(search.first, search.last.state.points - search.first.state.points)
-        if moved < policy.SMALL_MOVE and abs(bias) < policy.SMALL_SHARE * abs(after):
+        if moved < policy.small_move and abs(bias) < policy.small_share * abs(after):
             continue
         figures: dict[str, Figure] = {
             "camera": camera.id,
@@ -112,7 +112,7 @@ def of_bias(search: Search) -> list[Finding]:
             "moved": moved,
         }
         size = Size(bias, camera.unit, sigma, bias, ground)
-        if moved < policy.SMALL_MOVE:
+        if moved < policy.small_move:
             listed.append(
                 Finding("c-bias", "doubtful", camera.id, figures, ("at_this_distance", "only_carried"), size)
             )
@@ -130,8 +130,8 @@ def of_significance(search: Search) -> list[Finding]:
     for k, camera in enumerate(search.first.network.cameras):
         before, after = _honest(search.first, k), _honest(search.last, k)
         for name in before.names:
-            was = f_test(before, (name,), redundancy, policy.PARAMETER_SIGNIFICANCE)
-            now = f_test(after, (name,), redundancy, policy.PARAMETER_SIGNIFICANCE)
+            was = f_test(before, (name,), redundancy, policy.parameter_significance)
+            now = f_test(after, (name,), redundancy, policy.parameter_significance)
             if was.significant == now.significant:
                 continue
             at = after.names.index(name)
@@ -158,9 +158,9 @@ def of_jackknife(search: Search) -> list[Finding]:
         formal = np.sqrt(np.diag(search.first.solution.camera_covariance[k])) * np.sqrt(_factor(search.first))
         before = search.jackknife_first.standard_error[k]
         ratio = np.divide(before, formal, out=np.zeros_like(before), where=formal > 0.0)
-        if not np.any(ratio > policy.UNSTABLE):
+        if not np.any(ratio > policy.unstable):
             continue
-        worst = 0 if ratio[0] > policy.UNSTABLE else int(np.nanargmax(ratio))
+        worst = 0 if ratio[0] > policy.unstable else int(np.nanargmax(ratio))
         figures: dict[str, Figure] = {
             "camera": camera.id,
             "parameter": PARAMETERS[worst],
@@ -178,8 +178,8 @@ def of_jackknife(search: Search) -> list[Finding]:
             ground = ground_effect(search.first, k, effect)
             moved = moved_with_c(search.first, k, effect)
             figures |= {"ground_m": ground, "moved": moved}
-            clauses.append("only_carried" if moved < policy.SMALL_MOVE else "heights_hang")
-            if moved >= policy.SMALL_MOVE and ground >= asked_of(search.first).ground_m:
+            clauses.append("only_carried" if moved < policy.small_move else "heights_hang")
+            if moved >= policy.small_move and ground >= asked_of(search.first).ground_m:
                 severity = "doubtful"
         size = Size(float(before[worst]), camera.unit, None, effect, ground)
         listed.append(Finding("jackknife", severity, camera.id, figures, tuple(clauses), size))
@@ -212,7 +212,7 @@ def one_angle_photos(fitted: AdjustedNetwork) -> list[Finding]:
     """Name the photos whose omega and kappa are one angle, because phi is near 90 degrees."""
     # The third row of a rotation begins with the sine of phi.
     steep = np.abs(fitted.state.rotation[:, 2, 0])
-    at = np.flatnonzero(steep > policy.ONE_ANGLE)
+    at = np.flatnonzero(steep > policy.one_angle)
     if not len(at):
         return []
     names = tuple(fitted.network.image_names[k] for k in at)

@@ -9,7 +9,7 @@ from photocal.adjustment.observations import mounting_equations
 from photocal.analysis.systematic_errors import camera_findings
 from photocal.analysis.systematic_errors.scatter import VarianceComponent
 from photocal.analysis.systematic_errors.search import Search
-from photocal.base import policy
+from photocal.base.policy import policy
 from photocal.findings.finding import Figure, Finding, Severity, Size
 from photocal.hypotheses.findings import Slips, cause_findings, no_slips
 
@@ -22,8 +22,8 @@ def of_stated(search: Search) -> list[Finding]:
     listed = []
     for group in search.groups:
         if (
-            group.p_value >= policy.FAMILY_SIGNIFICANCE / len(search.groups)
-            or abs(group.factor - 1.0) < policy.WRONG_SIGMA
+            group.p_value >= policy.family_significance / len(search.groups)
+            or abs(group.factor - 1.0) < policy.wrong_sigma
         ):
             continue
         memory = search.causes.memory
@@ -42,7 +42,7 @@ def of_stated(search: Search) -> list[Finding]:
         }
         size = Size(group.factor, "1")
         if group.factor > 1.0:
-            severity: Severity = "doubtful" if group.factor > policy.SMALL_RATIO else "note"
+            severity: Severity = "doubtful" if group.factor > policy.small_ratio else "note"
             listed.append(Finding("sigmas-too-small", severity, group.name, figures, size=size))
         else:
             listed.append(Finding("sigmas-too-large", "note", group.name, figures, size=size))
@@ -56,7 +56,7 @@ def of_groups(search: Search) -> list[Finding]:
         _scatter(code, component, search)
         for code, components in (("axis-scatter", search.axes), ("camera-scatter", search.cameras))
         for component in components
-        if component.p_value < policy.FAMILY_SIGNIFICANCE and component.ratio > policy.WORTH_A_LINE * overall
+        if component.p_value < policy.family_significance and component.ratio > policy.worth_a_line * overall
     ]
 
 
@@ -71,18 +71,18 @@ def of_images(search: Search) -> list[Finding]:
         shift = shifts.get(name)
         shifted = (
             shift is not None
-            and shift.p_value < policy.FAMILY_SIGNIFICANCE
-            and shift.effect_px > policy.VISIBLE_SIGMAS * sigma_px
+            and shift.p_value < policy.family_significance
+            and shift.effect_px > policy.visible_sigmas * sigma_px
         )
         # One bad image makes the good ones look better than all together: only the bad one is named.
-        scattered = component.p_value < policy.FAMILY_SIGNIFICANCE and component.ratio > overall
+        scattered = component.p_value < policy.family_significance and component.ratio > overall
         if not (scattered or shifted):
             continue
         finding = _scatter("image", component, search)
         if shift is None or not shifted:
             listed.append(finding)
             continue
-        small = shift.effect_px < policy.SMALL_PX
+        small = shift.effect_px < policy.small_px
         figures = {**finding.figures, "moved_px": shift.effect_px}
         clauses = ("own_geometry", "small") if small else ("own_geometry",)
         size = Size(_relative(component, search), "1", px=shift.effect_px)
@@ -98,7 +98,7 @@ def _relative(component: VarianceComponent, search: Search) -> float:
 def _scatter(code: str, component: VarianceComponent, search: Search) -> Finding:
     relative = _relative(component, search)
     effect = component.ratio * search.sigma.assumed / min(search.last.network.cameras[0].pitch)
-    small = effect < policy.SMALL_PX or relative < policy.SMALL_RATIO
+    small = effect < policy.small_px or relative < policy.small_ratio
     figures: dict[str, Figure] = {"name": component.name, "relative": relative, "px": effect}
     clauses = ("amount", "small") if small else ("amount",)
     size = Size(relative, "1", px=effect)
@@ -110,7 +110,7 @@ def of_maps(search: Search) -> list[Finding]:
     listed = []
     for camera, cells in zip(search.last.network.cameras, search.maps, strict=True):
         if cells is None or (
-            cells.global_p_value >= policy.FAMILY_SIGNIFICANCE and not cells.significant.any()
+            cells.global_p_value >= policy.family_significance and not cells.significant.any()
         ):
             continue
         length = np.linalg.norm(cells.mean_px, axis=-1)
@@ -119,7 +119,7 @@ def of_maps(search: Search) -> list[Finding]:
             length[~cells.significant] = 0.0
         row, column = np.unravel_index(int(np.argmax(length)), length.shape)
         effect = float(length[row, column])
-        small = effect < policy.SMALL_PX
+        small = effect < policy.small_px
         figures: dict[str, Figure] = {
             "camera": camera.id,
             "significant": float(cells.significant.sum()),
@@ -182,7 +182,7 @@ def of_heads(fitted: AdjustedNetwork) -> list[Finding]:
     # One that moves pulls at the others: the one that moved most is named.
     chi_squared, freedom, k, pair, move, inverse = max(tried, key=lambda jump: jump[0] / jump[1])
     p_value = min(1.0, len(tried) * float(special.chdtrc(freedom, chi_squared)))
-    if p_value >= policy.FAMILY_SIGNIFICANCE:
+    if p_value >= policy.family_significance:
         return []
     # Turns about its axes, then shifts in those of the first head.
     camera, turn = network.cameras[rig.camera[k]].id, float(np.degrees(np.linalg.norm(move[:3])))

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.policy import policy
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,9 @@ class VarianceComponent:
 
 def kurtosis(squares: Floats, redundancy: Floats) -> float:
     """Excess kurtosis of standardised residuals, from their squares; never below that of normal ones."""
-    checked = redundancy > policy.LEAST_CHECKED
+    checked = redundancy > policy.least_checked
     w2 = squares[checked] / redundancy[checked]
-    if len(w2) < policy.SMALL_SAMPLE:
+    if len(w2) < policy.small_sample:
         return 0.0
     return max(0.0, float(np.mean(w2**2) / np.mean(w2) ** 2) - 3.0)
 

@@ -12,8 +12,8 @@ from photocal.adjustment.network import Network
 from photocal.analysis.estimates import Estimates
 from photocal.analysis.robust import Jackknife, jackknife
 from photocal.analysis.systematic_errors import scatter, shifts
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats
+from photocal.base.policy import policy
 from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 from photocal.hypotheses.search import SystematicErrors, systematic_errors
 
@@ -107,7 +107,7 @@ def _groups(
     Factors that the causes came with are those of the groups: their sigmas are in the network already.
     """
     ratio = sigma.found / sigma.assumed
-    if sigma.p_value < policy.FAMILY_SIGNIFICANCE and abs(ratio - 1.0) > policy.WRONG_SIGMA:
+    if sigma.p_value < policy.family_significance and abs(ratio - 1.0) > policy.wrong_sigma:
         with because("sigma of the image coordinates that agrees"):
             last = fit(with_sigmas(last.network, ratio), last.state)
     applied = {group.name: group for group in causes.sigmas if causes.adequate}
@@ -132,4 +132,4 @@ def _map(last: AdjustedNetwork, camera: int, factor: float, good: Flags) -> scat
     pixel: Floats = plane_to_pixel(interior.size_px, interior.pitch, network.rays.plane[of_camera])
     residual = last.solution.residuals[of_camera] / np.array(interior.pitch) * down
     w = last.solution.standardised(network.rays.sigma)[of_camera] * down
-    return scatter.residual_map(interior.size_px, pixel, residual, w, factor, policy.FAMILY_SIGNIFICANCE)
+    return scatter.residual_map(interior.size_px, pixel, residual, w, factor, policy.family_significance)

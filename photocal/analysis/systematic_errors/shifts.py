@@ -15,12 +15,10 @@ from photocal.adjustment.normal import other_equations
 from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.solution import Group
 from photocal.adjustment.state import State
-from photocal.base import policy
 from photocal.base.arrays import Floats
+from photocal.base.policy import policy
 from photocal.geometry.rotation import skew
 
-# Of a shift, what no other unknown takes up, squared: less is not determined.
-LEFT = 1e-4
 # Less of a column than this, beside the exterior orientation, is not determined.
 INDEPENDENT = 1e-2
 # So many images are adjusted with a scale and a principal point of their own.
@@ -60,12 +58,12 @@ def position_shift(fit: AdjustedNetwork) -> PositionShift | None:
         [steps[:, columns[parameters == 0]].sum(axis=1) for parameters, columns in layout.camera_columns]
     )
     group = next(part for part in fit.solution.groups if part.name == "position")
-    if group.redundancy - 3.0 < policy.FEWEST_REDUNDANT or not _determined(fields, information):
+    if group.redundancy - 3.0 < policy.fewest_redundant or not _determined(fields, information):
         return PositionShift(np.zeros(3), np.full(3, np.inf), 0.0, 1.0, c_by_shift, positions.stated())
     shift, sigma, fall, p_value = _estimated(information, slope, group)
     # Standard deviations that are too small by a factor compete with it: they explain all residuals alike.
     factor = tested(group)
-    wrong = factor.factor > 1.0 and factor.p_value < policy.SIGNIFICANCE
+    wrong = factor.factor > 1.0 and factor.p_value < policy.significance
     if wrong and factor.gain > fall - 2.0 * np.log(fit.solution.observations):
         p_value = 1.0
     return PositionShift(shift, sigma, fall, p_value, c_by_shift, positions.stated())
@@ -73,7 +71,9 @@ def position_shift(fit: AdjustedNetwork) -> PositionShift | None:
 
 def _determined(fields: Floats, information: Floats) -> bool:
     """Whether something of shifts along whitened fields is left beside all other unknowns."""
-    return bool(np.linalg.eigvalsh(np.linalg.solve(fields.T @ fields, information))[0] >= LEFT)
+    # Of a shift, what no other unknown takes up, squared: less is not determined.
+    least_left = 1e-4
+    return bool(np.linalg.eigvalsh(np.linalg.solve(fields.T @ fields, information))[0] >= least_left)
 
 
 def _estimated(information: Floats, slope: Floats, group: Group) -> tuple[Floats, Floats, float, float]:
@@ -212,7 +212,7 @@ def screened_shifts(fit: AdjustedNetwork, variance_factor: float) -> tuple[Image
     columns = np.concatenate([pose_derivatives(fit, state), _own_geometry(fit.computed)], axis=2)[order]
     weighted = (columns / rays.sigma[order][:, :, None]).reshape(-1, 9)
     residual = (fit.solution.residuals / rays.sigma)[order].ravel()
-    tested = np.flatnonzero(2 * shown >= policy.FEWEST_COORDINATES_OF_IMAGE)
+    tested = np.flatnonzero(2 * shown >= policy.fewest_coordinates_of_image)
     if not len(tested):
         return ()
     # Residuals are computed minus measured: what must be added to the measurements.
