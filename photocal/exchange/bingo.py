@@ -16,7 +16,7 @@ import numpy as np
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError
 from photocal.block.table import MARKS
-from photocal.exchange.source import Line, number, read_text, require_readable
+from photocal.exchange.source import Line, decimal_comma, number, read_text, require_readable
 from photocal.geometry.camera import Camera
 
 _SENSOR = re.compile(r"sensor width of\s*(\d+(?:\.\d+)?)\s*x\s*(\d+(?:\.\d+)?)\s*mm")
@@ -60,10 +60,7 @@ def read_bingo(
         elif len(cells) >= 3 and _are_numbers(cells[-2:]):
             if image < 0:
                 continue
-            name = " ".join(cells[:-2])
-            bare = name.removeprefix("GCP_")
-            name = bare if bare in marked and name not in marked else name
-            point = number_of.setdefault(name, len(number_of))
+            point = number_of.setdefault(" ".join(cells[:-2]), len(number_of))
             x, y = (number(cell, Line(path, at, text).place, "x, y") for cell in cells[-2:])
             column, row = x / pitch[0], y / pitch[1]
             if abs(column) > FAR * (middle[0] + 1) or abs(row) > FAR * (middle[1] + 1):
@@ -72,6 +69,8 @@ def read_bingo(
                 seen[image].add(point)
                 rays.extend((image, point))
                 where.extend((middle[0] + column, middle[1] - row))
+        elif len(cells) >= 3 and decimal_comma(cells[-2:]):
+            number(cells[-2], Line(path, at, text).place, "x")
         else:
             # Names of images and of cameras may have blanks.
             titles = (" ".join(cells[:k]) for k in range(max(len(cells) - 1, 1), 0, -1))
@@ -86,7 +85,15 @@ def read_bingo(
         raise InputMalformedError("has no measurement of a calibrated image", where=path)
     table = np.array(rays, dtype=np.int64).reshape(-1, 2)
     xy = np.array(where).reshape(-1, 2)
-    return BingoRays(table[:, 0], table[:, 1], tuple(number_of), xy, unknown, outside)
+    return BingoRays(table[:, 0], table[:, 1], _named(tuple(number_of), marked), xy, unknown, outside)
+
+
+def _named(written: Sequence[str], marked: frozenset[str]) -> tuple[str, ...]:
+    """Names without the prefix of marked points; a tie point of the same number is named otherwise."""
+    prefixed = {name: name.removeprefix("GCP_") for name in written if name not in marked}
+    prefixed = {name: bare for name, bare in prefixed.items() if name != bare and bare in marked}
+    taken = set(prefixed.values())
+    return tuple(prefixed.get(name, f"tie {name}" if name in taken else name) for name in written)
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:

@@ -74,6 +74,7 @@ Damaged files are read or refused in words, within a gigabyte: [evidence](eviden
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
@@ -177,7 +178,7 @@ class Format:
     def found(self, folder: Path) -> list[Path]:
         """Files named as a project is: what lies least deep is the project, what lies deeper its parts."""
         patterns = (self.search,) if self.search else self.opens[:1]
-        files = (file for pattern in patterns for file in folder.rglob(pattern))
+        files = (file for pattern in patterns for file in folder.rglob(_in_any_case(pattern)))
         return sorted(files, key=lambda file: (len(file.parts), file.name))
 
     def write(self, folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
@@ -197,6 +198,12 @@ class Format:
     def _function(self, name: str) -> Callable[..., Any]:
         function: Callable[..., Any] = getattr(import_module(self.module), name)
         return function
+
+
+def _in_any_case(pattern: str) -> str:
+    """A pattern of names whose letters may be capitals: copies of other systems have them."""
+    letters = re.compile(r"\[[^]]*\]|[a-zA-Z]")
+    return letters.sub(lambda at: at[0] if at[0][0] == "[" else f"[{at[0].lower()}{at[0].upper()}]", pattern)
 
 
 # In the order in which a folder is searched for a project.

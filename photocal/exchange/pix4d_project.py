@@ -26,13 +26,14 @@ from photocal.exchange.parts import PointEntry, block, distinct, object_points, 
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, require_one_focal_length, to_pinhole
 from photocal.exchange.reconstruction import Choices, Reconstruction, file_name
 from photocal.exchange.rigs import of_poses
-from photocal.exchange.source import Line, image_size, numbers, read_lines
+from photocal.exchange.source import Line, decimal_comma, image_size, numbers, read_lines
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion
 
 HEAD = "Pix4D camera calibration file"
 CAMERAS = "calibrated_camera_parameters.txt"
 BINGO = "tp_bingo.txt"
+EXTERNAL = "calibrated_external_camera_parameters.txt"
 _ERRORS = "calibrated_external_camera_parameters_error.txt"
 _MEASURED_ESTIMATED = "measured_estimated_gcps_position.txt"
 _ERROR_COLUMNS = (
@@ -91,12 +92,8 @@ def read(path: Path) -> ForeignProject:
             "export it: Process, Processing options, 1. Initial processing, Advanced",
             where=folder,
         )
-    offset_file = file_of(folder, "offset.xyz")
-    offset = np.zeros(3)
-    if offset_file is not None:
-        cells = " ".join(line.text for line in read_lines(offset_file)).replace(",", " ")
-        offset = np.array(numbers(cells, offset_file, "offset", 3))
     image_names, own_lenses, local, rotation = zip(*_shots(path), strict=True)
+    offset, offset_told = _offset(folder, image_names, np.array(local))
     lenses = list(dict.fromkeys(own_lenses))
     names = ["camera" if len(lenses) == 1 else f"camera-{k}" for k in range(1, len(lenses) + 1)]
     cameras = tuple(_camera(lens, name, path) for lens, name in zip(lenses, names, strict=True))
@@ -106,8 +103,18 @@ def read(path: Path) -> ForeignProject:
     _require_on_earth(zip(image_names, poses[:, 3:].tolist(), strict=True), "image", path)
     heads, exposure = of_poses(cameras, np.array(member), poses)
     ground = _ground(folder)
-    control, remarks = ground.control, ground.remarks
+    control, remarks = ground.control, [*offset_told, *ground.remarks]
     _require_on_earth(((name, xyz) for name, (xyz, _) in control.items()), "control point", folder)
+    # Images see no farther, m.
+    most_m = 5e4
+    middle = np.median([xyz for xyz, _ in control.values()] or poses[:, 3:], axis=0)
+    apart_m = float(np.linalg.norm(middle - np.median(poses[:, 3:], axis=0)))
+    if offset_told and apart_m > most_m:
+        raise InputNotFoundError(
+            f"has no ..._offset.xyz, and its control lies {apart_m / 1e3:.0f} km from its images",
+            f"copy it, or ..._{EXTERNAL}, from the project",
+            where=folder,
+        )
     seen = read_bingo(bingo, image_names, member, cameras, ground.manual.union(control))
     if seen.unknown:
         remarks.append(f"{seen.unknown} images of {bingo.name} are not calibrated: left out")
@@ -162,6 +169,25 @@ def read(path: Path) -> ForeignProject:
     )
 
 
+def _offset(folder: Path, names: Sequence[str], local: Floats) -> tuple[Floats, list[str]]:
+    """What was subtracted from all coordinates: by its file, else by the orientations in the map."""
+    path, table = file_of(folder, "offset.xyz"), file_of(folder, EXTERNAL)
+    if path is not None:
+        text = " ".join(line.text for line in read_lines(path))
+        # Commas between numbers; within one where no point stands.
+        cells = text if "." not in text and text.count(",") == 3 else text.replace(",", " ")
+        return np.array(numbers(cells, path, "offset", 3)), []
+    image_of, apart = in_order(names), list[Floats]()
+    for line in read_lines(table) if table is not None else ():
+        name, *cells = line.text.rsplit(None, 6)
+        k = image_of(name.strip().strip('"')) if len(cells) == 6 else -1
+        if k >= 0:
+            apart.append(np.array([_value(cell) for cell in cells[:3]]) - local[k])
+    if not apart or not np.isfinite(apart).all():
+        return np.zeros(3), ["no ..._offset.xyz: coordinates of the images are taken as they stand"]
+    return np.median(apart, axis=0), [f"no ..._offset.xyz: the offset is that of ..._{EXTERNAL}"]
+
+
 def _require_on_earth(places: Iterable[tuple[str, Sequence[float]]], what: str, where: Path) -> None:
     for name, place in places:
         if max(map(abs, place)) > ON_EARTH_M:
@@ -174,7 +200,8 @@ def _require_on_earth(places: Iterable[tuple[str, Sequence[float]]], what: str, 
 
 def file_of(folder: Path, ending: str) -> Path | None:
     """Find the file of a params folder whose name ends so; before it stands that of the project."""
-    paths = [p for p in sorted(folder.iterdir()) if p.name == ending or p.name.endswith(f"_{ending}")]
+    names = {path: path.name.casefold() for path in sorted(folder.iterdir())}
+    paths = [path for path, name in names.items() if name == ending or name.endswith(f"_{ending}")]
     return min(paths, key=lambda path: len(path.name), default=None)
 
 
@@ -183,6 +210,9 @@ def _shots(path: Path) -> list[_Shot]:
     lines = read_lines(path, comment="")
     starts = [k for k in range(len(lines) - _ROWS + 1) if _begins(lines, k)]
     if not starts:
+        for line in lines:
+            if decimal_comma(line.text.split()):
+                numbers(line.text, line.place, "camera")
         raise InputMalformedError("has no image", "was it written completely?", where=path)
     shots = []
     for k, end in zip(starts, [*starts[1:], len(lines)], strict=True):
@@ -219,10 +249,16 @@ def _camera(lens: tuple[float, ...], name: str, path: Path) -> Camera:
 
 
 def _rows(path: Path | None, columns: Sequence[str]) -> Iterator[list[str]]:
-    """Cells of some columns, by the head of a table that is cut at commas only: names have blanks."""
+    """Cells of some columns, by the head of a table that is cut at commas only: names have blanks.
+
+    A spreadsheet saves it with semicolons and decimal commas.
+    """
     head: list[str] | None = None
+    between = ","
     for line in read_lines(path) if path is not None else ():
-        cells = [cell.strip().strip('"') for cell in line.text.split(",")]
+        if head is None and line.text.count(";") >= len(columns):
+            between = ";"
+        cells = [cell.strip().strip('"') for cell in line.text.split(between)]
         if head is None:
             head = [cell.casefold() for cell in cells]
             lost = [column for column in columns if column.casefold() not in head]
@@ -232,9 +268,12 @@ def _rows(path: Path | None, columns: Sequence[str]) -> Iterator[list[str]]:
                 )
         elif len(cells) != len(head):
             raise line.malformed(
-                f"has {len(cells)} cells where the head has {len(head)}", "was it written completely?"
+                f"has {len(cells)} cells where the head has {len(head)}",
+                "was it written completely, and are all numbers written with a decimal point?",
             )
         else:
+            if between == ";":
+                cells = [cell.replace(",", ".") if decimal_comma([cell]) else cell for cell in cells]
             yield [cells[head.index(column.casefold())] for column in columns]
 
 

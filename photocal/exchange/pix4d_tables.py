@@ -20,11 +20,10 @@ from photocal.exchange.foreign_project import ForeignProject
 from photocal.exchange.output_system import output_system
 from photocal.exchange.parts import block, distinct
 from photocal.exchange.pinhole import Pinhole, from_pinhole
-from photocal.exchange.pix4d_project import HEAD, file_of
+from photocal.exchange.pix4d_project import EXTERNAL, HEAD, file_of
 from photocal.exchange.source import Line, number, numbers, read_lines
 from photocal.geometry.camera import Camera
 
-EXTERNAL = "calibrated_external_camera_parameters.txt"
 _SENSOR = re.compile(r"#Focal Length mm assuming a sensor width of ([0-9.eE+-]+)x([0-9.eE+-]+)mm")
 _KEYS = ("F", "Px", "Py", "K1", "K2", "K3", "T1", "T2")
 

@@ -3,7 +3,7 @@
 import json
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, TypeVar
@@ -123,6 +123,11 @@ def number(cell: str, place: object, what: str) -> float:
     if not math.isfinite(value):
         raise InputMalformedError(f"{what} is {text[:40]!r}, not finite", "correct it", where=place)
     return value
+
+
+def decimal_comma(cells: Sequence[str]) -> bool:
+    """Whether cells, one or more, are numbers with decimal commas."""
+    return bool(cells) and all(_DECIMAL_COMMA.fullmatch(cell.strip()) for cell in cells)
 
 
 def numbers(text: str, place: object, what: str, count: int | None = None) -> list[float]:
