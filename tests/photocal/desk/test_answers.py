@@ -15,9 +15,11 @@ from typing import Any
 
 import pytest
 
+from photocal.debrief.verdict import Debrief, Together, debrief_json
 from photocal.desk import project_file
 from photocal.desk.jobs import FOLDER, Job, error_of
 from photocal.desk.running import told_stages
+from photocal.findings.finding import Finding
 from tests.photocal.desk.client import Answer, Client
 from tests.photocal.desk.conftest import HOSTILE
 
@@ -289,6 +291,30 @@ def test_a_certificate_is_filled_in_issued_signed_sent_and_verified(
     # One figure changed: neither what was signed, nor what the inputs give.
     told = verified(window, changed(packed.body))
     assert (told["verified"], told["authentic"]) == (False, False)
+
+
+def test_verdict_and_debrief_are_said_in_the_language_of_the_window(
+    window: Client, home: Path, finished: Path
+) -> None:
+    folder = Path(shutil.copytree(finished, home / "flown"))
+    good(window.post("/api/open", {"path": "flown"}))
+    complete = Debrief(Finding("flight-complete", "passed"), (), (), None, Together())
+    (folder / "work" / "debrief.json").write_text(json.dumps(debrief_json(complete)))
+
+    def told(language: str) -> tuple[str, str, str, str]:
+        good(window.post("/api/language", {"language": language}))
+        flown = good(window.get("/api/check")).json["debrief"]
+        issued = good(window.get("/api/certificate")).json["issued"]["verdict"]
+        of_run = good(window.get("/api/run")).json["verdict"]
+        assert of_run == issued
+        return of_run["paragraph"], " ".join(of_run["said"]), flown["verdict"]["text"], flown["summary"][0]
+
+    english, portuguese = told("en"), told("pt-BR")
+    assert ["block" in english[0], "bloco" in portuguese[0]] == [True, True]
+    assert "flight is complete" in english[2]
+    assert "voo está completo" in portuguese[2]
+    assert (english[3], portuguese[3]) == ("0 of 0 pictures can be read", "0 de 0 imagens podem ser lidas")
+    assert window.post("/api/language", {"language": "xx"}).status == 422
 
 
 def verified(window: Client, octets: bytes) -> dict[str, Any]:
