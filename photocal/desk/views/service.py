@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
+from photocal.base.checked_toml import read_tables
 from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.base.web_answers import checked
 from photocal.desk.session import Desk
@@ -147,11 +148,14 @@ class Look:
 
     def _known_pictures(self) -> dict[str, Picture]:
         """The pictures by name; read again when their folder has changed."""
-        images = self._desk.project().contents.images
-        folder = None if images is None else images.folder
-        if folder is None or not folder.is_dir():
+        # What is asked of the project keeps nobody from its pictures.
+        named = read_tables(self._desk.file).get("images", {}).get("folder", "")
+        folder = self._desk.folder / str(named)
+        # It may be a pattern of names.
+        where = folder if folder.is_dir() else folder.parent
+        if not named or not where.is_dir():
             return {}
-        state = (folder, folder.stat().st_mtime_ns)
+        state = (folder, where.stat().st_mtime_ns)
         with self._lock:
             if self._pictures[0] != state:
                 self._pictures = state, read_pictures(folder)

@@ -20,8 +20,10 @@ from photocal.desk import project_file
 from photocal.desk.jobs import FOLDER, Job, error_of
 from photocal.desk.running import told_stages
 from photocal.findings.finding import Finding
+from tests.conftest import Once
 from tests.photocal.desk.client import Answer, Client
-from tests.photocal.desk.conftest import HOSTILE
+from tests.photocal.desk.conftest import HOSTILE, fresh
+from tests.photocal.run.typed_site import resized
 
 PATIENCE_S = 240.0
 
@@ -207,6 +209,24 @@ def test_the_command_tells_how_the_steps_stand(
     assert json.loads(said.out)["steps"]["folder"] == {"state": "none", "word": "stands.choose"}
     missing = photocal("desk", tmp_path / "nowhere")
     assert (missing.code, "is no folder" in missing.err) == (3, True)
+
+
+def test_sizes_of_marks_are_shown_in_the_pictures_and_chosen(window: Client, home: Path, once: Once) -> None:
+    folder = fresh(once, home / "half", "desk-half", change=resized(0.5))
+    good(window.post("/api/open", {"path": "half"}))
+    told = good(window.post("/api/new")).json["said"]
+    assert [told["frames"][0][key] for key in ("frame", "chosen")] == ["1/2", True]
+    converted = (folder / "marks.csv").read_text()
+    # The height is still asked for; the pictures are seen all the same.
+    mark = told["frames"][0]["marks"][0]
+    assert good(window.get(f"/api/look/tiles/{mark['image']}/0/0/0")).headers["content-type"] == "image/jpeg"
+    chosen = good(window.post("/api/new", {"marks": "1"})).json["said"]
+    assert (chosen["marks"], chosen["frames"]) == ("1", told["frames"])
+    assert (folder / "marks.csv").read_text() != converted
+    # It stays chosen when the folder is looked at again.
+    assert good(window.post("/api/new")).json["said"]["marks"] == "1"
+    assert good(window.post("/api/new", {"marks": "1/2"})).json["said"]["marks"] == "1/2"
+    assert (folder / "marks.csv").read_text() == converted
 
 
 def test_systems_are_found_by_name_number_and_country(window: Client) -> None:
