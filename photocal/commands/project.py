@@ -47,9 +47,10 @@ def new(
     if again:
         parts["changed"] = made.changes
     rows = {"read": made.rows, "used": made.rows_used, "not_used": made.refused}
+    marked = {"rows": rows, "frames": [offer.figures() for offer in made.frames]}
     answer(
         as_json,
-        lambda: {"schema": "photocal.new/1", "project": str(made.path), **parts, "rows": rows},
+        lambda: {"schema": "photocal.new/1", "project": str(made.path), **parts, **marked},
         lambda: "\n".join(
             [
                 *(f"{word}: {line}" for word, lines in parts.items() for line in lines),

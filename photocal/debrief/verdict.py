@@ -1,6 +1,6 @@
 """The debrief: what a flight covers, and what can be said of it while its crew is still in the field."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from photocal.base.workers import Workers, run_tasks
 from photocal.block.motion import strips
 from photocal.debrief import pictures
 from photocal.debrief.pictures import PictureQuality, Quick, picture_findings
+from photocal.findings.digits import Number
 from photocal.findings.finding import Finding, Severity, untested
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, findings_of
 from photocal.geometry.camera import Camera
@@ -278,7 +279,8 @@ def debrief_json(made: Debrief) -> dict[str, Any]:
     content: dict[str, Any] = {
         "schema": SCHEMA,
         "verdict": finding_json(made.verdict, say),
-        "summary": _summary(made, say),
+        "summary": measured_text(_measured(made), say),
+        "measured": _measured(made),
         "findings": [finding_json(finding, say) for finding in made.findings],
         "pictures": [{"image": look.path.name, **picked(look, *pictures.MEASURED)} for look in made.looks],
         "exposures": [] if made.exposures is None else _exposures(made.exposures, made.together.flown),
@@ -320,22 +322,32 @@ def debrief_text(made: Debrief, say: Catalogue) -> str:
     """A debrief in words."""
     lines = [finding_text(made.verdict, say)]
     lines += [f"- {finding_text(finding, say)}" for finding in made.findings if finding.severity != "passed"]
-    return "\n".join(lines + _summary(made, say))
+    return "\n".join(lines + measured_text(_measured(made), say))
 
 
-def _summary(made: Debrief, say: Catalogue) -> list[str]:
-    """What was measured, in a few lines: pictures, overlap, and c of each camera."""
+def _measured(made: Debrief) -> list[tuple[str, dict[str, Any]]]:
+    """What was measured: keys of texts with their figures, of pictures, overlap and c of each camera."""
     quick, flown = made.together.quick, made.together.flown
     readable = sum(look.facts is not None for look in made.looks)
-    joined = "" if quick is None else say("debrief.joined", n=quick.joined)
-    lines = [say("debrief.pictures", n=readable, all=len(made.looks)) + joined]
+    told: list[tuple[str, dict[str, Any]]] = [("debrief.pictures", {"n": readable, "all": len(made.looks)})]
+    if quick is not None:
+        told.append(("debrief.joined", {"n": quick.joined}))
     if flown is not None and len(overlap := 100.0 * _overlap(flown)):
-        lines.append(say("debrief.overlap", median=np.median(overlap), least=overlap.min()))
+        least = {"median": float(np.median(overlap)), "least": float(overlap.min())}
+        told.append(("debrief.overlap", least))
     for entry in () if quick is None else quick.cameras:
         if (released := entry["released"]) is not None:
-            c, sigma, unit = released["c"], released["sigma"], entry["unit"]
-            lines.append(say("debrief.camera", camera=entry["camera"], c=c, sigma=sigma, unit=unit))
-    return lines
+            own = {"camera": entry["camera"], "unit": entry["unit"]}
+            told.append(("debrief.camera", {**own, "c": released["c"], "sigma": released["sigma"]}))
+    return told
+
+
+def measured_text(measured: Iterable[tuple[str, dict[str, Any]]], say: Catalogue) -> list[str]:
+    """Say in lines what was measured, as it stands in the ``measured`` of a debrief."""
+    return [
+        say(key, **{name: Number(v, say.mark) if isinstance(v, float) else v for name, v in figures.items()})
+        for key, figures in measured
+    ]
 
 
 def _overlap(flown: Coverage) -> Floats:

@@ -17,12 +17,14 @@ from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Respon
 from starlette.routing import BaseRoute, Route
 
 from photocal.base.checked_toml import Table
-from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.base.web_answers import checked, doing, short_body, telling
 from photocal.desk import particulars, project_file
 from photocal.desk.folder import pictures
 from photocal.desk.jobs import asked
 from photocal.desk.session import Desk
+from photocal.findings.texts import catalogue
+from photocal.findings.verdict import read_verdict, verdict_text
 from photocal.project import Project
 from photocal.report.keys import own_key
 from photocal.report.signing import SIGNATURE
@@ -104,7 +106,7 @@ def state(desk: Desk) -> dict[str, Any]:
         "file": desk.named(_file(desk, project)),
         **given.model_dump(include={*_KEYS}),
         "key": None if key is None else {"name": key.name, "fingerprint": key.fingerprint},
-        "issued": issued_as(folder),
+        "issued": issued_as(folder, desk.language),
         "lines": {
             "issue": desk.line(["run", desk.folder]),
             "sign": desk.line(["sign", folder]),
@@ -114,13 +116,18 @@ def state(desk: Desk) -> dict[str, Any]:
     }
 
 
-def issued_as(folder: Path) -> dict[str, Any] | None:
-    """Number, day and verdict of a certificate that lies in a folder, and whether it is signed."""
+def issued_as(folder: Path, language: str = "en") -> dict[str, Any] | None:
+    """Number, day and verdict of a certificate that lies in a folder, and whether it is signed.
+
+    language: of the verdict's words; the certificate has a language of its own.
+    """
     try:
         content = json.loads((folder / _RECORD).read_bytes())
-        verdict = {key: content["verdict"].get(key) for key in ("severity", "text", "paragraph", "said")}
+        final = read_verdict(content["verdict"], folder)
+        paragraph, *lines = verdict_text(final, catalogue(language))
+        verdict = {"severity": final.outcome.severity, "paragraph": paragraph, "said": lines}
         named = {"number": content["number"], "date": content["date"], "verdict": verdict}
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+    except (OSError, ValueError, LookupError, TypeError, PhotocalError):
         return None
     return {**named, "folder": str(folder), "signed": (folder / SIGNATURE).is_file()}
 
@@ -154,7 +161,6 @@ def _preview(desk: Desk, form: _Form) -> dict[str, Any]:
     """Make the certificate of a form that is not kept yet, without writing anything of the project."""
     # What computes is loaded when it is needed: the window is there at once.
     from photocal.findings.document import html
-    from photocal.findings.texts import catalogue
     from photocal.measurement.picture_conditions import told_conditions
     from photocal.report.certificate import certificate
     from photocal.run.summary import gather, read_json

@@ -13,6 +13,7 @@ from photocal.base.web_answers import checked, doing, telling
 from photocal.desk.jobs import FOLDER, asked
 from photocal.desk.project_file import field_of
 from photocal.desk.session import Desk
+from photocal.findings.texts import catalogue, finding_json, findings_of
 
 JOB = "debrief"
 # The second is what `photocal debrief` writes.
@@ -21,7 +22,6 @@ _KEPT, _DEBRIEF = "check.json", "debrief.json"
 
 class _Debrief(Table, strict=True):
     live: bool = False
-    language: str = "en"
 
 
 def routes(desk: Desk) -> list[BaseRoute]:
@@ -81,13 +81,20 @@ def _check(desk: Desk) -> dict[str, Any]:
 
 
 def debrief(desk: Desk) -> dict[str, Any] | None:
-    """What the debrief has written, as far as it is there."""
+    """What the debrief has written, as far as it is there, in the language of the window."""
+    # It computes, too: the window is there before it.
+    from photocal.debrief.verdict import measured_text
+
     try:
-        content = json.loads((desk.project().output / _DEBRIEF).read_bytes())
+        path = desk.project().output / _DEBRIEF
+        content, say = json.loads(path.read_bytes()), catalogue(desk.language)
+        verdict, *found = findings_of([content["verdict"], *content["findings"]], path)
         return {
-            "verdict": content["verdict"],
-            "summary": content["summary"],
-            "findings": [one for one in content["findings"] if one["severity"] not in ("passed", "untested")],
+            "verdict": finding_json(verdict, say),
+            "summary": measured_text(content["measured"], say),
+            "findings": [
+                finding_json(one, say) for one in found if one.severity not in ("passed", "untested")
+            ],
             "exposures": content["exposures"],
             "coverage": content["coverage"],
             "pictures": len(content["pictures"]),
@@ -98,7 +105,7 @@ def debrief(desk: Desk) -> dict[str, Any] | None:
 
 def _debrief(desk: Desk, told: _Debrief) -> dict[str, Any]:
     live: list[str | Path] = ["--live"] if told.live else []
-    desk.start(JOB, ["debrief", desk.folder, "--language", told.language, *live])
+    desk.start(JOB, ["debrief", desk.folder, *live])
     return state(desk)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat
 from starlette.routing import BaseRoute
 
+from photocal.base.arrays import Floats
 from photocal.base.checked_toml import Table, read_tables
 from photocal.base.errors import PhotocalError
 from photocal.base.files import output_file
@@ -132,16 +133,17 @@ def places(desk: Desk) -> dict[str, Any]:
         control = NO_POINTS
     rows = zip(control.names, control.values.tolist(), control.role.tolist(), strict=True)
     points = [*rows][: project_file.MOST_POINTS]
-    degrees = _in_degrees(crs, np.array([value for _, value, _ in points]).reshape(-1, 3))
+    values = np.array([value for _, value, _ in points]).reshape(-1, 3)
+    degrees = _local_degrees(values) if crs == "local" else _in_degrees(crs, values)
+    # Points of a system of their own lie beside no picture's place.
+    placed = [one for one in facts if one.has_position and (crs != "local" or not points)]
     return {
         "points": [
             {"name": name, "role": ROLES[role], "xyz": value, "place_deg": place}
             for (name, value, role), place in zip(points, degrees, strict=True)
         ],
         "pictures": [
-            {"name": one.name, "place_deg": [one.longitude_deg, one.latitude_deg]}
-            for one in facts
-            if one.has_position
+            {"name": one.name, "place_deg": [one.longitude_deg, one.latitude_deg]} for one in placed
         ],
     }
 
@@ -165,7 +167,7 @@ def _facts(paths: tuple[tuple[Path, int], ...]) -> tuple[ImageFacts, ...]:
     return tuple(read)
 
 
-def _in_degrees(crs: str, places: Any) -> list[list[float] | None]:
+def _in_degrees(crs: str, places: Floats) -> list[list[float] | None]:
     from pyproj import Transformer
     from pyproj.exceptions import ProjError
 
@@ -177,21 +179,28 @@ def _in_degrees(crs: str, places: Any) -> list[list[float] | None]:
     return [place if np.isfinite(place).all() else None for place in moved.tolist()]
 
 
+def _local_degrees(places: Floats) -> list[list[float] | None]:
+    """Local coordinates on a map of their own: metres about the place where a degree is as long each way."""
+    degree_m = np.pi / 180 * 6378137.0
+    moved = (places[:, :2] - places[:1, :2]) / degree_m
+    return [*moved.tolist()]
+
+
 def _new(desk: Desk, told: _New) -> dict[str, Any]:
     arguments: list[str | Path] = ["new", desk.folder]
-    crs, height = _answered(desk)
-    for name, value in (
-        ("--crs", told.crs or crs),
-        ("--height", told.height or height),
-        ("--marks", told.marks),
-    ):
+    (crs, height), before = _answered(desk), said(desk) or {}
+    # What a person has chosen of the marks stays chosen.
+    marks = told.marks or before.get("marks", "")
+    for name, value in (("--crs", told.crs or crs), ("--height", told.height or height), ("--marks", marks)):
         arguments += [name, value] if value else []
     arguments += ["--again"] if desk.file.is_file() else []
     with desk.lock:
         answer = asked(arguments)
         (desk.folder / FOLDER).mkdir(exist_ok=True)
         with output_file(desk.folder / FOLDER / _SAID) as aside:
-            aside.write_text(json.dumps({**answer, "line": desk.line(arguments)}), encoding="utf-8")
+            frames = before.get("frames", []) if marks else answer["frames"]
+            kept = {**answer, "frames": frames, "marks": marks, "line": desk.line(arguments)}
+            aside.write_text(json.dumps(kept), encoding="utf-8")
     return project(desk)
 
 

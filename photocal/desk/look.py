@@ -52,6 +52,11 @@ def routes(desk: Desk) -> list[BaseRoute]:
         # Nobody waits for the broom.
         return Response(made, media_type="image/jpeg", background=BackgroundTask(look().tidy))
 
+    async def ground(request: Request) -> Response:
+        """Answer with a tile of the orthophoto."""
+        made = await run_in_threadpool(lambda: look().ground(**request.path_params))
+        return Response(made, media_type="image/png")
+
     def told(path: str, tell: Callable[[Look], Any]) -> Route:
         """Return a route that answers with what the service tells."""
         return telling(path, lambda: tell(look()))
@@ -76,6 +81,7 @@ def routes(desk: Desk) -> list[BaseRoute]:
         arrays("/api/look/overlap.bin", lambda: look().overlap()[1]),
         arrays("/api/look/ties.bin", lambda: look().ties()),
         Route("/api/look/tiles/{image}/{level:int}/{column:int}/{row:int}", tile),
+        Route("/api/look/ground/{level:int}/{column:int}/{row:int}", ground),
         told("/api/look/left-out", lambda here: here.left_out()),
         done("/api/look/leave-out", lambda here, body: here.leave_out(body)),
         done("/api/look/take-back", lambda here, body: here.take_back(body)),

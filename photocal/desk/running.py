@@ -62,11 +62,12 @@ def state(desk: Desk) -> dict[str, Any]:
     progress = _kept(work / PROGRESS) if job["state"] == "busy" else {}
     names = [stage.name for stage in listed]
     said = told_stages(desk.job(JOB).log(), names) if job["state"] != "none" else {}
+    issued = issued_as(work / "certificate", desk.language)
     return {
         **told,
         "stages": [*_stages(work, names, said, job)],
         "progress": {key: progress.get(key) for key in ("title", "share", "left_s", "elapsed_s")} or None,
-        "verdict": None if job["state"] == "busy" else (issued_as(work / "certificate") or {}).get("verdict"),
+        "verdict": None if job["state"] == "busy" or issued is None else issued["verdict"],
     }
 
 

@@ -28,6 +28,8 @@ class Desk:
         Long commands of this project, by name.
     preview
         Certificate of a form that is not kept yet.
+    language
+        That of the window: findings and verdicts are said in it.
     """
 
     def __init__(self, root: Path, cache: Path) -> None:
@@ -36,7 +38,7 @@ class Desk:
         self.cache = cache
         self.lock = threading.RLock()
         self.jobs: dict[str, Job] = {}
-        self.preview = ""
+        self.preview, self.language = "", "en"
         if not self.root.is_dir():
             raise InputNotFoundError("is no folder", "name the folder of a flight", where=root)
 

@@ -56,7 +56,7 @@ def _processed(desk: Desk, project: Project) -> dict[str, Stands]:
         steps["run"] = _as("good", "stands.run")
     if issued is not None:
         signs = {"passed": "good", "note": "good", "doubtful": "warn"}
-        look = signs.get(issued["verdict"]["severity"] or "", "bad")
+        look = signs.get(issued["verdict"]["severity"], "bad")
         steps["look"] = _as(look, f"stands.found-{look}")
         signed = issued["signed"]
         steps["certificate"] = _as("good", "stands.signed") if signed else _as("warn", "stands.unsigned")

@@ -6,11 +6,13 @@ of one point in two pictures tell which, for features of both pictures say where
 
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import combinations, groupby, islice, zip_longest
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -99,6 +101,25 @@ class FrameFit:
 
 
 @dataclass(frozen=True)
+class FrameOffer:
+    """A frame that a person may choose, and where some marks lie in the stored pictures then, if inside."""
+
+    fit: FrameFit
+    chosen: bool
+    marks: tuple[Mark, ...]
+
+    def figures(self) -> dict[str, Any]:
+        """Give it as a JSON value."""
+        return {
+            "frame": str(self.fit.frame),
+            "chosen": self.chosen,
+            "outside": self.fit.outside,
+            "miss": None if math.isnan(self.fit.miss) else self.fit.miss,
+            "marks": [{"image": m.image, "point": m.point, "x": m.x, "y": m.y} for m in self.marks],
+        }
+
+
+@dataclass(frozen=True)
 class FrameChoice:
     """Which frame marks were made in.
 
@@ -116,6 +137,27 @@ class FrameChoice:
     def fit_of(self, frame: MarkFrame) -> FrameFit:
         """Give how marks fit one of the frames."""
         return next(fit for fit in self.fits if fit.frame == frame)
+
+    def offers(self, marks: Sequence[Mark], facts: Facts) -> tuple[FrameOffer, ...]:
+        """Give the likeliest frames, and that of the stored grid, each with marks of one point.
+
+        Frames that are the same for these pictures are one.
+        """
+        most_frames, most_marks = 5, 3
+        most = Counter(mark.point for mark in marks).most_common(1)
+        shown = [mark for mark in marks if most and mark.point == most[0][0]][:most_marks]
+        fits = list[FrameFit]()
+        for fit in self.fits:
+            if not any(_alike(fit.frame, other.frame, marks, facts) for other in fits):
+                fits.append(fit)
+        listed = [fit for k, fit in enumerate(fits) if k < most_frames or fit.frame == AS_STORED]
+        there = (
+            [mark for mark in fit.frame.stored(shown, facts) if inside(mark, facts[mark.image].size_px)]
+            for fit in listed
+        )
+        return tuple(
+            FrameOffer(fit, fit.frame == self.chosen, tuple(m)) for fit, m in zip(listed, there, strict=True)
+        )
 
 
 def parse_frame(text: str) -> MarkFrame:

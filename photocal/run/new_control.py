@@ -16,7 +16,14 @@ from photocal.geometry.grids import missing_grids
 from photocal.geometry.systems import MapSystem, at_place, called, heights_at, is_meant
 from photocal.measurement.control_review import alone, heights_apart, listed, stray_points, twins
 from photocal.measurement.image_facts import ImageFacts
-from photocal.measurement.mark_frames import AS_STORED, FrameChoice, MarkFrame, choose_frame, inside
+from photocal.measurement.mark_frames import (
+    AS_STORED,
+    FrameChoice,
+    FrameOffer,
+    MarkFrame,
+    choose_frame,
+    inside,
+)
 from photocal.measurement.marks import ControlMarks, in_map_system, named_after
 from photocal.measurement.position_files import map_places
 from photocal.run.folder_survey import ControlFile
@@ -34,6 +41,7 @@ class NewControl:
     crs, height: empty where they are still to be said.
     height_is_assumed: nobody says it, and no figure depends on it.
     frame: of the pictures that the marks were made in.
+    offers: frames that a person may choose from, where it is not plain that they are the stored ones.
     rows, rows_used: of a list with a row for each mark.
     refused: its rows that are not used, with the reason.
     """
@@ -44,6 +52,7 @@ class NewControl:
     height: str = ""
     height_is_assumed: bool = False
     frame: MarkFrame = AS_STORED
+    offers: tuple[FrameOffer, ...] = ()
     rows: int = 0
     rows_used: int = 0
     refused: list[str] = field(default_factory=list)
@@ -144,6 +153,8 @@ def _with_marks(
         made.frame = told.frame
     elif here:
         found = choose_frame(list(here.values()), pictures, folder)
+        if not found.sure or found.chosen != AS_STORED:
+            made.offers = found.offers(list(here.values()), pictures)
         made.frame = _frame(made, found, useful=_useful(here.values()))
     stored = made.frame.stored(list(here.values()), pictures)
     kept = tuple(mark for mark in stored if inside(mark, pictures[mark.image].size_px))

@@ -19,7 +19,7 @@ from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.measurement.camera_heads import HeadGroup
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
 from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
-from photocal.measurement.mark_frames import AS_STORED, parse_frame
+from photocal.measurement.mark_frames import AS_STORED, FrameOffer, parse_frame
 from photocal.measurement.marks import named_after
 from photocal.measurement.picture_tests import judge_cameras, told_beside
 from photocal.navigation.flight_log import FlightLog
@@ -48,6 +48,7 @@ class NewProject:
         must be said before it can be run.
     rows, rows_used, refused: of a control list with a row for each mark; those that are not used, and why.
     changes: to the project file that was there.
+    frames: sizes and turns that marks may have been made in, where that is not plain.
     """
 
     path: Path
@@ -59,6 +60,7 @@ class NewProject:
     rows_used: int = 0
     refused: tuple[str, ...] = ()
     changes: tuple[str, ...] = ()
+    frames: tuple[FrameOffer, ...] = ()
 
 
 def new_project(
@@ -107,7 +109,8 @@ def new_project(
     changes: tuple[str, ...] = ()
     there = [name for name in files if (folder / name).exists()]
     if again and NAME in there:
-        files, changes = renewed(folder, files)
+        moved = [name for name in files if name.endswith("marks.csv") and told.frame is not None]
+        files, changes = renewed(folder, files, moved)
     elif there:
         remedy = f"photocal new {folder} --again keeps your entries and adds new findings"
         raise OutputError("exists already", remedy, where=folder / there[0])
@@ -125,6 +128,7 @@ def new_project(
         rows_used=of_control.rows_used,
         refused=tuple(of_control.refused),
         changes=changes,
+        frames=of_control.offers,
     )
 
 

@@ -1,7 +1,7 @@
 """A project file made again: a person's answers and comments stay, what was found since is added."""
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -45,12 +45,16 @@ def _parsed(path: Path, text: str) -> tomlkit.TOMLDocument:
         raise InputMalformedError(f"is no TOML ({refusal})", "correct it", where=path) from refusal
 
 
-def renewed(folder: Path, files: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
+def renewed(
+    folder: Path, files: Mapping[str, str], moved: Collection[str] = ()
+) -> tuple[dict[str, str], tuple[str, ...]]:
     """Give the files as they become, and the lines of the project file that change.
 
     Keys that stand there stay as they are, but those still to be filled in. Tables of control and marks are
     written anew where the project file did not have them, or only where nobody has changed them: rows that
     are there stay, new ones are added.
+
+    moved: tables of marks that a person has said to lie elsewhere.
     """
     path = folder / NAME
     before = path.read_text(encoding="utf-8")
@@ -66,6 +70,9 @@ def renewed(folder: Path, files: Mapping[str, str]) -> tuple[dict[str, str], tup
         if name == NAME:
             continue
         merged, added = _rows(folder / name, content)
+        if name in moved:
+            merged, elsewhere = _moved(merged, content)
+            added = [*elsewhere, *added]
         made[name] = merged
         changes += [f"+ {name}: {row}" for row in added]
     return made, tuple(changes)
@@ -101,3 +108,16 @@ def _rows(path: Path, content: str) -> tuple[str, list[str]]:
     known = {tuple(row.split(",")[:names]) for row in there.splitlines()}
     added = [row for row in rows if tuple(row.split(",")[:names]) not in known]
     return there.rstrip("\n") + "\n" + "".join(f"{row}\n" for row in added), added
+
+
+def _moved(there: str, content: str) -> tuple[str, list[str]]:
+    """Marks of a list at the places that they have by now; those with other sigmas were set by hand."""
+
+    def what(row: str) -> tuple[str, ...]:
+        """Image, point and sigmas: all but the place."""
+        cells = row.split(",")
+        return (*cells[:2], *cells[4:])
+
+    found = {what(row): row for row in content.splitlines()}
+    rows = [(row, found.get(what(row), row)) for row in there.splitlines()]
+    return "".join(f"{now}\n" for _, now in rows), [now for before, now in rows if now != before]

@@ -148,10 +148,11 @@ function rail() {
   if (focused !== undefined) rail.querySelector(focused ? `a[href="${focused}"]` : "button.language").focus();
 }
 
-function otherLanguage() {
+async function otherLanguage() {
   language = language === "en" ? "pt-BR" : "en";
   localStorage.setItem("language", language);
   rail();
+  await context.post("/api/language", { language });
   route(true);
 }
 
@@ -186,6 +187,7 @@ async function route(anew = false) {
 
 async function start() {
   for (const path of ["/texts.json", "/look/texts.json"]) Object.assign(texts, await (await fetch(path)).json());
+  await context.post("/api/language", { language });
   await context.renew();
   await reopen();
   addEventListener("hashchange", () => route());

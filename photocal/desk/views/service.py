@@ -8,10 +8,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
+from photocal.base.checked_toml import read_tables
 from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.base.web_answers import checked
 from photocal.desk.session import Desk
 from photocal.desk.views import concerns, overview, pictures
+from photocal.desk.views.ground import Ground, ground_of, ground_tile
 from photocal.desk.views.plots import plots
 from photocal.desk.views.shown import Shown, adjusted_in, read_shown
 from photocal.findings.texts import LANGUAGES, catalogue
@@ -43,6 +45,7 @@ class Look:
         self._shown: Shown | None = None
         self._views: dict[object, Any] = {}
         self._pictures: tuple[object, dict[str, Picture]] = (None, {})
+        self._ground: Ground | None = None
 
     def shown(self) -> Shown:
         """Give what the last run left; raises InputNotFoundError before one."""
@@ -82,8 +85,11 @@ class Look:
         """What map and 3-D view begin with."""
         made = self.view("overview", overview.overview)
         known = self._known_pictures()
+        # It is made when the run is over: looked for each time.
+        self._ground = ground = ground_of(self.shown(), self._desk.folder)
         return {
             **made,
+            "ground": None if ground is None else ground.told(self._desk.named(ground.path)),
             "origin": self.view("origin", overview.origin).tolist(),
             "pictures": {name: not picture.reason for name, picture in known.items()},
             "coarsest": {name: coarsest_level(picture.size_px) for name, picture in known.items()},
@@ -130,17 +136,26 @@ class Look:
             raise missing(picture.reason, "choose another picture")
         return self._tiles.tile(picture.path, TileAddress(*place))
 
+    def ground(self, level: int, column: int, row: int) -> bytes:
+        """A tile of the orthophoto that the map was told of."""
+        if self._ground is None:
+            raise InputNotFoundError("has no orthophoto", "photocal ortho makes one", where=self._desk.folder)
+        return ground_tile(self._ground, level, column, row)
+
     def tidy(self) -> None:
         """Keep the tiles on disk within their bounds."""
         self._tiles.tidy()
 
     def _known_pictures(self) -> dict[str, Picture]:
         """The pictures by name; read again when their folder has changed."""
-        images = self._desk.project().contents.images
-        folder = None if images is None else images.folder
-        if folder is None or not folder.is_dir():
+        # What is asked of the project keeps nobody from its pictures.
+        named = read_tables(self._desk.file).get("images", {}).get("folder", "")
+        folder = self._desk.folder / str(named)
+        # It may be a pattern of names.
+        where = folder if folder.is_dir() else folder.parent
+        if not named or not where.is_dir():
             return {}
-        state = (folder, folder.stat().st_mtime_ns)
+        state = (folder, where.stat().st_mtime_ns)
         with self._lock:
             if self._pictures[0] != state:
                 self._pictures = state, read_pictures(folder)

@@ -15,11 +15,15 @@ from typing import Any
 
 import pytest
 
+from photocal.debrief.verdict import Debrief, Together, debrief_json
 from photocal.desk import project_file
 from photocal.desk.jobs import FOLDER, Job, error_of
 from photocal.desk.running import told_stages
+from photocal.findings.finding import Finding
+from tests.conftest import Once
 from tests.photocal.desk.client import Answer, Client
-from tests.photocal.desk.conftest import HOSTILE
+from tests.photocal.desk.conftest import HOSTILE, fresh
+from tests.photocal.run.typed_site import resized
 
 PATIENCE_S = 240.0
 
@@ -207,6 +211,24 @@ def test_the_command_tells_how_the_steps_stand(
     assert (missing.code, "is no folder" in missing.err) == (3, True)
 
 
+def test_sizes_of_marks_are_shown_in_the_pictures_and_chosen(window: Client, home: Path, once: Once) -> None:
+    folder = fresh(once, home / "half", "desk-half", change=resized(0.5))
+    good(window.post("/api/open", {"path": "half"}))
+    told = good(window.post("/api/new")).json["said"]
+    assert [told["frames"][0][key] for key in ("frame", "chosen")] == ["1/2", True]
+    converted = (folder / "marks.csv").read_text()
+    # The height is still asked for; the pictures are seen all the same.
+    mark = told["frames"][0]["marks"][0]
+    assert good(window.get(f"/api/look/tiles/{mark['image']}/0/0/0")).headers["content-type"] == "image/jpeg"
+    chosen = good(window.post("/api/new", {"marks": "1"})).json["said"]
+    assert (chosen["marks"], chosen["frames"]) == ("1", told["frames"])
+    assert (folder / "marks.csv").read_text() != converted
+    # It stays chosen when the folder is looked at again.
+    assert good(window.post("/api/new")).json["said"]["marks"] == "1"
+    assert good(window.post("/api/new", {"marks": "1/2"})).json["said"]["marks"] == "1/2"
+    assert (folder / "marks.csv").read_text() == converted
+
+
 def test_systems_are_found_by_name_number_and_country(window: Client) -> None:
     def codes(text: str) -> list[str]:
         found = good(window.get(f"/api/systems?text={text}")).json["systems"]
@@ -289,6 +311,30 @@ def test_a_certificate_is_filled_in_issued_signed_sent_and_verified(
     # One figure changed: neither what was signed, nor what the inputs give.
     told = verified(window, changed(packed.body))
     assert (told["verified"], told["authentic"]) == (False, False)
+
+
+def test_verdict_and_debrief_are_said_in_the_language_of_the_window(
+    window: Client, home: Path, finished: Path
+) -> None:
+    folder = Path(shutil.copytree(finished, home / "flown"))
+    good(window.post("/api/open", {"path": "flown"}))
+    complete = Debrief(Finding("flight-complete", "passed"), (), (), None, Together())
+    (folder / "work" / "debrief.json").write_text(json.dumps(debrief_json(complete)))
+
+    def told(language: str) -> tuple[str, str, str, str]:
+        good(window.post("/api/language", {"language": language}))
+        flown = good(window.get("/api/check")).json["debrief"]
+        issued = good(window.get("/api/certificate")).json["issued"]["verdict"]
+        of_run = good(window.get("/api/run")).json["verdict"]
+        assert of_run == issued
+        return of_run["paragraph"], " ".join(of_run["said"]), flown["verdict"]["text"], flown["summary"][0]
+
+    english, portuguese = told("en"), told("pt-BR")
+    assert ["block" in english[0], "bloco" in portuguese[0]] == [True, True]
+    assert "flight is complete" in english[2]
+    assert "voo está completo" in portuguese[2]
+    assert (english[3], portuguese[3]) == ("0 of 0 pictures can be read", "0 de 0 imagens podem ser lidas")
+    assert window.post("/api/language", {"language": "xx"}).status == 422
 
 
 def verified(window: Client, octets: bytes) -> dict[str, Any]:

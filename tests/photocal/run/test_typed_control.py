@@ -101,6 +101,14 @@ def test_marks_made_in_other_pictures_are_brought_to_these(
     assert len(marks) == len(meant)
     for row in meant:
         assert marks[row.image, row.name] == pytest.approx((row.x, row.y), abs=0.03)
+    # What may be chosen instead stands behind it, with marks as they would lie.
+    best, *others = found["frames"]
+    assert (best["chosen"], [other["chosen"] for other in others]) == (True, [False] * len(others))
+    assert "1" in [other["frame"] for other in others]
+    places = {(row.image, row.name): (row.x, row.y) for row in meant}
+    assert best["marks"]
+    for mark in best["marks"]:
+        assert (mark["x"], mark["y"]) == pytest.approx(places[mark["image"], mark["point"]], abs=0.03)
 
 
 def test_marks_as_they_are_stored_are_left_alone(pictures: Path, tmp_path: Path, photocal: Photocal) -> None:

@@ -3,7 +3,7 @@
 import { fill, h, script } from "../dom.js";
 import { amount, CHOSEN, css, FIX, INK, KINDS, metres, number, quantile, round, usualSpacing } from "./colours.js";
 
-const LAYERS = ["overlap", "footprints", "strips", "ties", "ellipses", "vectors", "stations", "points"];
+const LAYERS = ["ground", "overlap", "footprints", "strips", "ties", "ellipses", "vectors", "stations", "points"];
 const FIRST = new Set(["overlap", "strips", "ellipses", "vectors", "points", "stations"]);
 const NEAR_PX = 14;
 const MOST_OVERLAP = 10;
@@ -21,6 +21,7 @@ export async function blockMap(target, shared) {
   const spacing = usualSpacing(at);
   const enlarged = { ellipses: enlargement(images.ellipse.concat(points.ellipse).map((e) => e[0]), ELLIPSE_SHARE * spacing, 0.5), vectors: enlargement(lengths(), VECTOR_SHARE * spacing, 0.95) };
   let colouring = images.fix ? "fix" : "rms_px";
+  const usable = LAYERS.filter((name) => name !== "ground" || block.ground);
   const holder = h("div.plane", { tabindex: 0, role: "application", "aria-label": say("look.map.label") });
   const layers = makeLayers();
   const legend = h("div.legend", {});
@@ -31,7 +32,7 @@ export async function blockMap(target, shared) {
   const view = new ol.View({ projection, center: ol.extent.getCenter(extent), constrainResolution: false, showFullExtent: true });
   const map = new ol.Map({
     target: holder,
-    layers: [...LAYERS.map((name) => layers[name]), layers.chosen],
+    layers: [...usable.map((name) => layers[name]), layers.chosen],
     view,
     keyboardEventTarget: holder,
     controls: ol.control.defaults.defaults({ attribution: false, rotate: false, zoomOptions: { zoomInTipLabel: say("look.zoom-in"), zoomOutTipLabel: say("look.zoom-out") } }).extend([new ol.control.ScaleLine({ minWidth: 70 })]),
@@ -64,6 +65,7 @@ export async function blockMap(target, shared) {
 
   function makeLayers() {
     const made = {
+      ground: block.ground && new ol.layer.Tile({ source: groundSource(block.ground) }),
       overlap: new ol.layer.Image({ opacity: 0.75 }),
       footprints: drawn(images.footprint.map((ring, k) => (ring[0][0] === null ? null : feature(new ol.geom.Polygon([[...ring, ring[0]]]), images.names[k]))), line("#33424d99", 1)),
       strips: drawn(strips(), line("#33424d", 1.5, [6, 4])),
@@ -74,7 +76,7 @@ export async function blockMap(target, shared) {
       stations: drawn(at.map((place, k) => feature(new ol.geom.Point(place), images.names[k], { k })), stationStyle()),
       chosen: new ol.layer.Vector({ source: new ol.source.Vector(), style: chosenStyle, updateWhileInteracting: true }),
     };
-    for (const name of LAYERS) made[name].setVisible(FIRST.has(name));
+    for (const name of usable) made[name].setVisible(FIRST.has(name));
     shared.get("/api/look/overlap").then(async (place) => {
       const cells = new Uint8Array(await shared.bytes("/api/look/overlap.bin"));
       made.overlap.setSource(overlapSource(place, cells));
@@ -179,6 +181,14 @@ export async function blockMap(target, shared) {
     if (colouring === "position") return images.position_m.map((d) => (d[0] === null ? NaN : Math.hypot(...d)));
     if (colouring === "sigma") return images.ellipse.map((e) => e[0] ?? NaN);
     return images[colouring].map((value) => value ?? NaN);
+  }
+
+  /** The orthophoto in tiles, coarse ones first. */
+  function groundSource({ corner, cell_m, size, levels, tile_px }) {
+    const resolutions = Array.from({ length: levels + 1 }, (_, k) => cell_m * 2 ** (levels - k));
+    const box = [corner[0], corner[1] - size[1] * cell_m, corner[0] + size[0] * cell_m, corner[1]];
+    const tileGrid = new ol.tilegrid.TileGrid({ origin: corner, extent: box, resolutions, tileSize: tile_px });
+    return new ol.source.TileImage({ projection: null, tileGrid, tileUrlFunction: ([z, x, y]) => `/api/look/ground/${levels - z}/${x}/${y}` });
   }
 
   function overlapSource({ columns, rows, first, column, row }, cells) {
@@ -305,7 +315,7 @@ export async function blockMap(target, shared) {
     const chooser = h("select", { id: "station-colour", onchange: () => recolour(chooser.value) }, colours.map((name) => h("option", { value: name, selected: name === colouring }, say(`look.colour.${name}`))));
     fill(
       legend,
-      h("details", { open: innerWidth > 1200 }, h("summary", {}, say("look.legend")), LAYERS.toReversed().map(tick), h("div.row.select", {}, h("label", { for: "station-colour" }, say("look.colour")), chooser), ramp(), h("button.small", { type: "button", onclick: whole }, say("look.whole"))),
+      h("details", { open: innerWidth > 1200 }, h("summary", {}, say("look.legend")), usable.toReversed().map(tick), h("div.row.select", {}, h("label", { for: "station-colour" }, say("look.colour")), chooser), ramp(), h("button.small", { type: "button", onclick: whole }, say("look.whole"))),
     );
   }
 

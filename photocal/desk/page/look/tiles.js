@@ -32,18 +32,18 @@ export function thumbnail(name, block) {
 }
 
 /** The surroundings of a mark, with the mark as a cross and a line to where the adjustment has the point. */
-export function crop(name, [x, y], residual, tile) {
+export function crop(name, [x, y], residual, tile, half = CROP.half) {
   const canvas = document.createElement("canvas");
   canvas.width = canvas.height = 2 * CROP.css;
   const pen = canvas.getContext("2d");
-  const scale = canvas.width / (2 * CROP.half + 1);
+  const scale = canvas.width / (2 * half + 1);
   const middle = [x + 0.5, y + 0.5];
-  const onCanvas = (px, py) => [(px - middle[0] + CROP.half + 0.5) * scale, (py - middle[1] + CROP.half + 0.5) * scale];
+  const onCanvas = (px, py) => [(px - middle[0] + half + 0.5) * scale, (py - middle[1] + half + 0.5) * scale];
   pen.fillStyle = "#e4e8eb";
   pen.fillRect(0, 0, canvas.width, canvas.height);
   const tiles = [];
-  const from = [middle[0] - CROP.half, middle[1] - CROP.half].map((value) => Math.max(0, Math.floor(value / tile)));
-  const to = [middle[0] + CROP.half, middle[1] + CROP.half].map((value) => Math.max(0, Math.floor(value / tile)));
+  const from = [middle[0] - half, middle[1] - half].map((value) => Math.max(0, Math.floor(value / tile)));
+  const to = [middle[0] + half, middle[1] + half].map((value) => Math.max(0, Math.floor(value / tile)));
   for (let column = from[0]; column <= to[0]; column++) for (let row = from[1]; row <= to[1]; row++) tiles.push([column, row]);
   Promise.all(
     tiles.map(async ([column, row]) => {

@@ -54,7 +54,7 @@ export async function mount(element, context) {
   function drawFlight(state) {
     const { debrief, job } = state;
     const busy = job.state === "busy";
-    const start = (live) => () => step(context.post("/api/debrief/start", { live, language: context.language }));
+    const start = (live) => () => step(context.post("/api/debrief/start", { live }));
     const area = h("div.chart", { tabindex: 0, role: "application", "aria-label": say("check.map") });
     const flown = (debrief?.exposures ?? []).filter((one) => one.place_deg).map((one) => ({ ...one, place_deg: [one.place_deg[1], one.place_deg[0]] }));
     // Without a log pictures say themselves where they were taken.

@@ -1,7 +1,12 @@
 // Step Folder: choose it, see what was found, answer what is asked; the project file as a form.
 
 import { fill, h, said, script, sign, styles } from "../dom.js";
+import { number } from "../look/colours.js";
+import { crop } from "../look/tiles.js";
 
+// So much of a picture is seen around a mark, and tiles are so large.
+const HALF_PX = 60;
+const TILE_PX = 512;
 const HEIGHTS = ["ellipsoidal", "orthometric", "local"];
 
 export async function mount(element, context) {
@@ -101,16 +106,31 @@ export async function mount(element, context) {
     );
   }
 
-  // Marks that were made in pictures of another size or turn: the person says which.
+  // Marks that were made in pictures of another size or turn: what each means is seen in the pictures.
   function frames(project) {
-    if (!(project.said?.asked ?? []).some((text) => text.startsWith("marks:"))) return null;
-    const choice = h("select", { id: "marks" }, ["1", "1/2", "1/4", "2", "exif", "90", "180", "270"].map((one) => h("option", {}, one)));
-    const set = h("button", { type: "button" }, say("folder.set"));
-    set.onclick = async () => {
-      const answer = await act(context.post("/api/new", { marks: choice.value }));
-      if (answer) draw(answer);
+    const { frames: offers = [], marks = "" } = project.said ?? {};
+    if (!offers.length) return null;
+    const choose = async (frame) => {
+      fill(box, h("legend", {}, say("field.marks")), h("p.quiet", { role: "status" }, say("folder.looking")));
+      const answer = await act(context.post("/api/new", { marks: frame }));
+      draw(answer ?? project);
+      await places();
     };
-    return h("p.row", {}, h("label", { for: "marks" }, say("field.marks")), choice, set);
+    const offer = (one, k) => {
+      const facts = [k === 0 && !one.outside && say("frame.best"), one.outside > 0 && say("frame.outside", { n: one.outside }), one.miss !== null && say("frame.miss", { share: number(100 * one.miss, context.language, 2) })];
+      return h("div.frame-offer", {},
+        h("label", {}, h("input", { type: "radio", name: "marks", value: one.frame, checked: marks ? marks === one.frame : one.chosen, onchange: () => choose(one.frame) }),
+          h("b", {}, worded(one.frame))),
+        h("span.hint", {}, facts.filter(Boolean).join(" · ")),
+        h("div.row", {}, one.marks.map((mark) => h("figure", {}, crop(mark.image, [mark.x, mark.y], [null, null], TILE_PX, HALF_PX), h("figcaption", {}, `${mark.point}, ${mark.image}`)))));
+    };
+    const box = h("fieldset.frames", {}, h("legend", {}, say("field.marks")), h("p.hint", {}, say("frame.which")), offers.map(offer));
+    return box;
+  }
+
+  // "1/2 exif" in words: a size, a turn, or both.
+  function worded(frame) {
+    return frame.split(" ").map((part) => (["1", "exif"].includes(part) ? say(`frame.${part}`) : ["90", "180", "270"].includes(part) ? say("frame.turned", { angle: part }) : say("frame.size", { size: part }))).join(", ");
   }
 
   function drawForm(project) {

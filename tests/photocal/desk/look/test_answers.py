@@ -9,6 +9,7 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
+import rasterio  # type: ignore[import-untyped]
 from PIL import Image
 
 from photocal.measurement.marks import read_marks
@@ -42,6 +43,47 @@ def test_every_view_answers(client: Client) -> None:
     assert len(client.get("/api/look/tie-names").json) == overview["ties"]
     assert client.get("/api/look/plots").json["cameras"].keys() == {"cam"}
     assert client.get("/api/look/findings?language=pt-BR").json["lines"]
+
+
+def test_an_orthophoto_lies_beneath_the_map(client: Client, finished: Path) -> None:
+    """Its cells are where rasterio has put them; terrain models, links and other systems are not it."""
+    assert client.get("/api/look").json["ground"] is None
+    assert client.get("/api/look/ground/0/0/0").status == 404
+    wide, high, cell = 1300, 700, 0.05
+    place = rasterio.Affine(cell, 0.0, -30.0, 0.0, -cell, 17.0)
+    shape = {"driver": "GTiff", "width": wide, "height": high, "transform": place}
+    seen = np.zeros((3, high, wide), np.uint8)
+    seen[0, :, 600:], seen[1, 600:] = 200, 100
+    (finished / "products").mkdir()
+    with rasterio.open(
+        finished / "products" / "ortho.tif", "w", count=3, dtype="uint8", nodata=0, **shape
+    ) as made:
+        made.write(seen)
+    with rasterio.open(finished / "dtm.tif", "w", count=1, dtype="float32", **shape) as terrain:
+        terrain.write(np.ones((1, high, wide), np.float32))
+    with rasterio.open(finished / "far.tif", "w", count=3, dtype="uint8", crs="EPSG:31982", **shape) as far:
+        far.write(seen)
+    (finished / "link.tif").symlink_to("/etc/passwd")
+    told = client.get("/api/look").json["ground"]
+    assert (told["name"], told["corner"], told["cell_m"]) == ("products/ortho.tif", [-30.0, 17.0], cell)
+    assert (told["size"], told["levels"]) == ([wide, high], 2)
+
+    def tile(*place: int) -> Image.Image:
+        return Image.open(BytesIO(client.get("/api/look/ground/{}/{}/{}".format(*place)).body))
+
+    fine, coarse = tile(0, 1, 1), tile(2, 0, 0)
+    assert fine.size == coarse.size == (512, 512)
+    # Cell (600, 600) is pixel (88, 88) of the second tile each way, and (150, 150) of the coarsest.
+    assert [fine.getpixel(at) for at in ((88, 88), (88, 87), (87, 87))] == [
+        (200, 100, 0, 255),
+        (200, 0, 0, 255),
+        (0, 0, 0, 0),
+    ]
+    assert coarse.getpixel((151, 151)) == (200, 100, 0, 255)
+    # Beyond its edge it is clear.
+    assert coarse.getpixel((330, 10))[3] == 0  # type: ignore[index]
+    for wrong in ((3, 0, 0), (0, 3, 0), (0, 0, 2)):
+        assert client.get("/api/look/ground/{}/{}/{}".format(*wrong)).status == 404
 
 
 def test_tiles_are_those_of_the_pictures_and_of_nothing_else(client: Client, finished: Path) -> None:
