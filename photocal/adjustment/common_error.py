@@ -25,7 +25,7 @@ def c_by_common_height(at: Factored) -> Floats | None:
     if network.mounting.sigma[SHIFT][2] != 0.0:
         return None
     changes = np.zeros(len(network.cameras))
-    lower = other_equations(at.problem, at.state)
+    lower = at.others
     higher = other_equations(replace(at.problem, network=_raised(network)), at.state)
     right = np.zeros(at.problem.layout.size)
     for name in _GROUPS:

@@ -87,7 +87,7 @@ def condensed(at: Factored) -> Condensed:
         state.cameras,
         state.common,
         normal.chi_squared,
-        degrees_of_freedom(problem, state),
+        degrees_of_freedom(at),
     )
 
 

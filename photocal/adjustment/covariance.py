@@ -11,7 +11,7 @@ from photocal.adjustment.kernels.data import Cofactors, Structure
 from photocal.adjustment.kernels.ray import element_address
 from photocal.adjustment.kernels.statistics import statistics
 from photocal.adjustment.network import own_parameters
-from photocal.adjustment.normal import Problem, other_equations, values_of
+from photocal.adjustment.normal import Problem, values_of
 from photocal.adjustment.rank import require_cameras, require_determined
 from photocal.adjustment.solution import Group, PhotoVariant, Solution
 from photocal.adjustment.solver import Iteration
@@ -36,7 +36,7 @@ def complete(at: Factored, iterations: tuple[Iteration, ...]) -> Solution:
         "image", residuals.size, float(np.sum(problem.design.weight * residuals**2)), float(redundancy.sum())
     )
     groups = [rays, _control_group(problem, state.points, point_covariance)]
-    for name, equations in other_equations(problem, state).items():
+    for name, equations in at.others.items():
         # Observations of the reduced system's unknowns.
         variance = equation_covariance(equations, structure, inverse, 1)[:, 0, 0]
         checked = len(variance) - float(np.sum(equations.weight * variance))
@@ -97,7 +97,7 @@ def shared(at: Factored) -> Shared:
     require_cameras(problem, state, cameras)
     return Shared(
         at.normal.chi_squared,
-        degrees_of_freedom(problem, state),
+        degrees_of_freedom(at),
         state.cameras,
         cameras,
         state.common,
@@ -105,12 +105,12 @@ def shared(at: Factored) -> Shared:
     )
 
 
-def degrees_of_freedom(problem: Problem, state: State) -> int:
+def degrees_of_freedom(at: Factored) -> int:
     """Count observations and conditions of the datum, less unknowns."""
-    network = problem.network
+    network = at.problem.network
     control = int(np.sum(np.diagonal(network.points.weight, axis1=1, axis2=2) > 0))
-    others = sum(len(rows.weight) for rows in other_equations(problem, state).values())
-    return network.rays.plane.size + control + others + len(problem.stiffened) - _unknowns(problem)
+    others = sum(len(rows.weight) for rows in at.others.values())
+    return network.rays.plane.size + control + others + len(at.problem.stiffened) - _unknowns(at.problem)
 
 
 def _unknowns(problem: Problem) -> int:

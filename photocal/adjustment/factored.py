@@ -7,8 +7,9 @@ import numpy as np
 
 from photocal.adjustment.datum import Correction, correction, full_solution, with_datum
 from photocal.adjustment.envelope import factorise, selected_inverse
+from photocal.adjustment.equations import Equations
 from photocal.adjustment.network import Network
-from photocal.adjustment.normal import Normal, Problem, normal_equations, prepare
+from photocal.adjustment.normal import Normal, Problem, normal_equations, other_equations, prepare
 from photocal.adjustment.rank import explain_singular
 from photocal.adjustment.solver import Minimum
 from photocal.adjustment.state import State
@@ -27,6 +28,11 @@ class Factored:
     state: State
     normal: Normal
     datum: Correction | None
+
+    @cached_property
+    def others(self) -> dict[str, Equations]:
+        """Observations beside the rays and the points, by group."""
+        return other_equations(self.problem, self.state)
 
     @cached_property
     def inverse(self) -> Floats:
@@ -83,6 +89,13 @@ def camera_covariance_column(at: Factored, column: int) -> tuple[Floats, Floats]
     reduced = np.zeros(at.problem.layout.size)
     reduced[column] = 1.0
     return _in_datum(at, reduced, np.zeros_like(at.state.points), *at.camera_column(column))
+
+
+def camera_covariance_columns(at: Factored, columns: Integers) -> tuple[Floats, Floats]:
+    """Covariances of all unknowns with parameters of cameras: (k, size) and of points (k, points, 3)."""
+    each = [camera_covariance_column(at, int(column)) for column in columns]
+    steps, moved = zip(*each, strict=True)
+    return np.array(steps), np.array(moved)
 
 
 def _in_datum(

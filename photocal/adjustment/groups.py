@@ -8,7 +8,6 @@ from scipy import special
 from photocal.adjustment.covariance import equation_covariance
 from photocal.adjustment.factored import Factored
 from photocal.adjustment.network import Network
-from photocal.adjustment.normal import other_equations
 from photocal.adjustment.solution import Group, Solution
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.policy import policy
@@ -130,7 +129,7 @@ def member_tests(at: Factored, solution: Solution) -> tuple[Member, ...]:
     network, members = at.problem.network, list[Member]()
     positions, points = network.positions, network.points
     if len(positions.image):
-        rows = other_equations(at.problem, at.state)["position"]
+        rows = at.others["position"]
         taken = equation_covariance(rows, at.problem.structure, at.inverse, 3)
         residual = rows.residual.reshape(-1, 3)
         root = np.asarray(np.linalg.cholesky(positions.covariance), dtype=np.float64)

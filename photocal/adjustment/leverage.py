@@ -14,14 +14,16 @@ import numpy as np
 
 from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.equations import Equations
-from photocal.adjustment.factored import covariance_column
-from photocal.adjustment.normal import other_equations, values_of
+from photocal.adjustment.factored import camera_covariance_columns
+from photocal.adjustment.normal import values_of
 from photocal.adjustment.score import followed_by
 from photocal.adjustment.sensitivity import along
 from photocal.base.arrays import Flags, Floats, Integers
 
 # Of the information of a point, in its worst direction, so much is left or nothing is; of that of a camera.
 _LEFT_OF_POINT, _LEFT_OF_CAMERA = 1e-6, 1e-6
+# The product over all directions from which on a point's inverse needs no care.
+_MUCH_OF_POINT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -51,10 +53,7 @@ def cameras_without(fitted: AdjustedNetwork, groups: list[Flags]) -> tuple[Float
     values = np.repeat(state.cameras[None], len(groups), axis=0)
     if not len(columns):
         return values, np.ones(len(groups), dtype=np.bool_)
-    right = np.zeros((len(columns), at.problem.layout.size))
-    right[np.arange(len(columns)), columns] = 1.0
-    nowhere = np.zeros((len(columns), *state.points.shape))
-    steps, moved = covariance_column(at, right, nowhere)
+    steps, moved = camera_covariance_columns(at, columns)
     information: Floats = np.linalg.inv(steps[:, columns]).astype(np.float64)
     group = np.zeros(len(fitted.network.image_names), dtype=np.int64)
     for k, out in enumerate(groups):
@@ -117,13 +116,18 @@ def _of_group(rays: _Rays, own: slice, inverse: Floats) -> tuple[Floats, Floats]
     eliminated = whole.any(axis=(1, 2))
     root = np.zeros_like(whole)
     root[eliminated] = np.linalg.cholesky(whole[eliminated])
-    share, axes = np.linalg.eigh(np.swapaxes(root, 1, 2) @ own_block @ root)
-    left = 1.0 - share
+    left = np.eye(3) - np.swapaxes(root, 1, 2) @ own_block @ root
+    gain = np.empty_like(left)
+    # Eigenvalues of it are shares: a product of three that is not small has none that is.
+    much = np.linalg.det(left) > _MUCH_OF_POINT
+    gain[much] = np.linalg.inv(left[much])
+    share, axes = np.linalg.eigh(left[~much])
     # Where nothing is left of a point the rest has no pull either, so that the group had none: 0 / 0 is 0.
-    gain = np.where(left > _LEFT_OF_POINT, 1.0 / np.maximum(left, _LEFT_OF_POINT), 0.0)
-    turned = np.swapaxes(root @ axes, 1, 2)
+    back = np.where(share > _LEFT_OF_POINT, 1.0 / np.maximum(share, _LEFT_OF_POINT), 0.0)
+    gain[~much] = (axes * back[:, None]) @ np.swapaxes(axes, 1, 2)
+    turned = np.swapaxes(root, 1, 2)
     by_camera, by_residual = turned @ by_camera, np.einsum("pab,pb->pa", turned, by_residual)
-    scaled = gain[:, :, None] * by_camera
+    scaled = gain @ by_camera
     count = x.shape[2]
     pull = pull + np.einsum("pak,pa->k", scaled, by_residual)
     return pull, hold + scaled.reshape(-1, count).T @ by_camera.reshape(-1, count)
@@ -140,7 +144,7 @@ def _of_others(fitted: AdjustedNetwork, group: Integers, steps: Floats, groups: 
     for columns in (layout.image_columns, layout.own_columns):
         for column in columns.T:
             image[column[column >= 0]] = np.flatnonzero(column >= 0)
-    for rows in other_equations(fitted.factored.problem, fitted.state).values():
+    for rows in fitted.factored.others.values():
         if not len(rows.weight):
             continue
         of_row = _image_of(rows, image)

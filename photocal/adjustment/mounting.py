@@ -8,6 +8,7 @@ strip.
 The attitude R (object to body axes) obeys  M = exp([r]x) B R  with r the residual in camera axes.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.equations import Equations
 from photocal.base.arrays import Columns, Floats, Integers
-from photocal.geometry.rotation import left_jacobian, skew
+from photocal.geometry.rotation import left_jacobian, skew, turned
 
 # Camera axes (x right, y up in the image, z backwards) of a camera that looks down, the upper edge of its
 # image forward, in terms of body axes (forward, right, down).
@@ -115,18 +116,16 @@ NO_ATTITUDES = Attitudes(_NONE, np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
 
 def body_to_camera(mounting: Mounting, values: Floats) -> Floats:
     """Rotation from body to camera axes with the boresight of the common values, shape (3, 3)."""
-    return np.asarray(Rotation.from_rotvec(values[BORESIGHT]).as_matrix() @ mounting.rotation)
+    return np.asarray(turned(mounting.rotation[None], values[None, BORESIGHT])[0])
 
 
 def antennas(
     positions: Positions, mounting: Mounting, values: Floats, rotation: Floats, centre: Floats
 ) -> Floats:
     """Where the antenna was by the poses of the images and the common values, shape (n, 3), object frame."""
-    n = len(positions.image)
     arm = body_to_camera(mounting, values) @ values[LEVER]
-    at = STRIPS + 6 * positions.strip
-    shift = np.array([values[at + k] for k in range(3)]).T if n else np.zeros((0, 3))
-    drift = np.array([values[at + 3 + k] for k in range(3)]).T if n else np.zeros((0, 3))
+    of_strip = values[(STRIPS + 6 * positions.strip)[:, None] + np.arange(6)]
+    shift, drift = of_strip[:, :3], of_strip[:, 3:]
     to_object = np.swapaxes(rotation[positions.image], 1, 2)
     computed = centre[positions.image] + to_object @ arm - positions.velocity * values[TIME] + shift
     computed = computed + drift * positions.time[:, None] + values[SHIFT]
@@ -149,21 +148,27 @@ def position_equations(
     matrix = body_to_camera(mounting, values)
     arm = matrix @ values[LEVER]
     to_object = np.swapaxes(rotation[image], 1, 2)
-    at = STRIPS + 6 * positions.strip
+    at = (STRIPS + 6 * positions.strip)[:, None] + np.arange(6)
     computed = antennas(positions, mounting, values, rotation, centre)
-    raised = positions.above[:, None] * _UP
     eye = np.broadcast_to(np.eye(3), (n, 3, 3))
     turned_arm = to_object @ skew(arm)
-    parts = [
-        (image_columns[image, :3], turned_arm @ basis[image]),
-        (image_columns[image, 3:], eye),
-        (np.tile(common_columns[LEVER], (n, 1)), to_object @ matrix),
-        (np.tile(common_columns[BORESIGHT], (n, 1)), -turned_arm @ left_jacobian(values[BORESIGHT])),
-        (np.tile(common_columns[TIME : TIME + 1], (n, 1)), -positions.velocity[:, :, None]),
-        (np.tile(common_columns[SHIFT], (n, 1)), eye),
-        (np.tile(common_columns[HEIGHT_SCALE : HEIGHT_SCALE + 1], (n, 1)), raised[:, :, None]),
-        (common_columns[at[:, None] + np.arange(3)], eye),
-        (common_columns[at[:, None] + np.arange(3, 6)], eye * positions.time[:, None, None]),
+    parts = [(image_columns[image, :3], turned_arm @ basis[image]), (image_columns[image, 3:], eye)]
+    of_flight: list[tuple[slice, Callable[[], Floats]]] = [
+        (LEVER, lambda: to_object @ matrix),
+        (BORESIGHT, lambda: -turned_arm @ left_jacobian(values[BORESIGHT])),
+        (slice(TIME, TIME + 1), lambda: -positions.velocity[:, :, None]),
+        (SHIFT, lambda: eye),
+        (slice(HEIGHT_SCALE, STRIPS), lambda: positions.above[:, None, None] * _UP[:, None]),
+    ]
+    # What is held takes no time.
+    parts += [
+        (np.tile(common_columns[which], (n, 1)), block())
+        for which, block in of_flight
+        if (common_columns[which] >= 0).any()
+    ]
+    parts += [
+        (common_columns[at[:, :3]], eye),
+        (common_columns[at[:, 3:]], eye * positions.time[:, None, None]),
     ]
     return whitened(parts, computed - positions.values, positions.whitening)
 
@@ -186,16 +191,13 @@ def attitude_equations(
     residual = Rotation.from_matrix(turned_back).as_rotvec()
     to_body = matrix.T
     inverse_left = np.linalg.inv(left_jacobian(residual))
-    # J(-t) = J(t)'.
-    inverse_right = np.swapaxes(inverse_left, 1, 2)
-    # The boresight turns the axes in which the residual is given, too: hence the cross product.
-    parts = [
-        (image_columns[image, :3], to_body @ inverse_left @ basis[image]),
-        (
-            np.tile(common_columns[BORESIGHT], (n, 1)),
-            to_body @ (skew(residual) - inverse_right) @ left_jacobian(values[BORESIGHT]),
-        ),
-    ]
+    parts = [(image_columns[image, :3], to_body @ inverse_left @ basis[image])]
+    of_boresight = common_columns[BORESIGHT]
+    if (of_boresight >= 0).any():
+        # J(-t) = J(t)'. It turns the axes in which the residual is given, too: hence the cross product.
+        turning = skew(residual) - np.swapaxes(inverse_left, 1, 2)
+        block = to_body @ turning @ left_jacobian(values[BORESIGHT])
+        parts.append((np.tile(of_boresight, (n, 1)), block))
     return whitened(parts, residual @ matrix, attitudes.whitening)
 
 

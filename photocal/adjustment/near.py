@@ -59,7 +59,7 @@ class Removals:
         # What the rays give: the whole system without all else.
         self._matrix = product(problem.layout.envelope, normal.matrix)
         self._matrix[diagonal_addresses(problem)[problem.stiffened]] /= 2.0
-        for rows in other_equations(problem, at.state).values():
+        for rows in at.others.values():
             less = rows._replace(weight=-rows.weight)
             add_equations(*less, problem.structure, self._matrix, self._gradient)
         # No ray touches these: nothing is to be left of them, not even rounding.

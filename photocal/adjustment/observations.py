@@ -52,6 +52,8 @@ def camera_equations(network: Network, layout: Layout, state: State) -> Equation
 
 def deviation_equations(network: Network, layout: Layout, state: State) -> dict[str, Equations]:
     """Each image's deviations observed as zero: photo-variant parameters, and motion during the readout."""
+    if not layout.own_columns.size:
+        return {}
     parameters, result = own_parameters(network), {}
     sigma = np.take_along_axis(own_sigma(network), np.maximum(parameters, 0), axis=1)
     of_lens = parameters < len(PARAMETERS)

@@ -26,6 +26,7 @@ from photocal.analysis.stability.methods import (
     pose_of,
     rotation_misfit,
     sensor_grid,
+    step_of,
     view,
 )
 from photocal.analysis.systematic_errors.camera_findings import of_datum, one_angle_photos
@@ -75,7 +76,8 @@ def effects(camera: Camera, estimates: Estimates, reach: float = np.inf) -> tupl
     plane = pixel_to_plane(camera.size_px, camera.pitch, grid)
     grid = grid[np.linalg.norm(plane, axis=1) <= reach]
     pixels, full = _seen(camera, grid)
-    return tuple(_effect(camera, estimates, group, pixels, full) for group in wanted)
+    step = step_of(_ROTATION, rotation_misfit, full)
+    return tuple(_effect(camera, estimates, group, (pixels, full, step)) for group in wanted)
 
 
 def _seen(camera: Camera, pixels: Floats) -> tuple[Floats, IdealImage]:
@@ -86,8 +88,13 @@ def _seen(camera: Camera, pixels: Floats) -> tuple[Floats, IdealImage]:
 
 
 def _effect(
-    camera: Camera, estimates: Estimates, removed: tuple[str, ...], pixels: Floats, full: IdealImage
+    camera: Camera,
+    estimates: Estimates,
+    removed: tuple[str, ...],
+    seen: tuple[Floats, IdealImage, Floats],
 ) -> Effect:
+    """Effect of parameters at pixels that have a ray, whose view and steps of the pose are known."""
+    pixels, full, step = seen
     remaining, _ = without(estimates, removed)
     followed = dict(zip(remaining.names, remaining.values.tolist(), strict=True))
     alone = left = (np.nan, np.nan)
@@ -97,7 +104,7 @@ def _effect(
     # Without parameters that a weak flight mistakes for each other nothing brings the bundles together.
     with suppress(IllPosedError, NotConvergedError):
         other = view(camera.changed(**followed | dict.fromkeys(removed, 0.0)), pixels)
-        pose = pose_of(_ROTATION, rotation_misfit, full, other)
+        pose = pose_of(_ROTATION, rotation_misfit, full, other, step)
         left = _sizes(rotation_misfit(full, other, pose))
     return Effect(removed, *alone, *left)
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from photocal.adjustment.adjusted import AdjustedNetwork, lowest, without_images
-from photocal.adjustment.factored import camera_covariance_column
+from photocal.adjustment.factored import camera_covariance_columns
 from photocal.adjustment.leverage import cameras_without
 from photocal.adjustment.near import Removals
-from photocal.adjustment.normal import other_equations
 from photocal.adjustment.removed import (
     FEWEST,
     groups_of,
@@ -94,21 +93,20 @@ def sandwich(fit: AdjustedNetwork) -> Floats:
     m / (m - k) for m images and k parameters. Every other observation, and every control point, is a part of
     its own.
     """
-    layout, problem = fit.factored.problem.layout, fit.factored.problem
+    layout = fit.factored.problem.layout
     image, images = fit.network.rays.image, len(fit.network.image_names)
     checked = np.maximum(fit.solution.redundancy, policy.least_checked)
     pull = fit.network.rays.sigma**-2.0 * fit.solution.residuals / np.sqrt(checked)
-    others = list(other_equations(problem, fit.state).values())
+    others = list(fit.factored.others.values())
     off = np.einsum("nab,nb->na", fit.network.points.weight, fit.state.points - fit.network.points.values)
     sigma = np.zeros_like(fit.state.cameras)
     for camera, (parameters, columns) in enumerate(layout.camera_columns):
         own_images = int(np.sum(fit.network.exposures.camera == camera))
         rest = own_images - len(parameters)
         few = np.sqrt(own_images / rest) if rest >= FEWEST else np.nan
-        covariance_columns = [camera_covariance_column(fit.factored, int(column)) for column in columns]
-        if not covariance_columns:
+        if not len(columns):
             continue
-        steps, moves = (np.array(part) for part in zip(*covariance_columns, strict=True))
+        steps, moves = camera_covariance_columns(fit.factored, columns)
         changes = followed_by(fit.factored, steps, moves)
         for parameter, step, moved, change in zip(parameters, steps, moves, changes, strict=True):
             by_image = np.bincount(image, np.einsum("rk,rk->r", change, pull), images)

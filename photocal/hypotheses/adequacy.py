@@ -14,7 +14,6 @@ from scipy import special
 from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.groups import GroupTest, tested
 from photocal.adjustment.network import Network
-from photocal.adjustment.normal import other_equations
 from photocal.adjustment.solution import Solution
 from photocal.base.arrays import Floats, Integers
 from photocal.base.policy import policy
@@ -140,7 +139,7 @@ def memory_of(adjusted: AdjustedNetwork) -> Memory | None:
     positions = network.positions
     if len(positions.image) < 2 * policy.smallest_sample:
         return None
-    residual = other_equations(adjusted.factored.problem, adjusted.state)["position"].residual.reshape(-1, 3)
+    residual = adjusted.factored.others["position"].residual.reshape(-1, 3)
     order = np.lexsort((_moment(network, positions.image), positions.strip))
     residual, strip = residual[order], positions.strip[order]
     # A few gross ones are no memory.

@@ -18,7 +18,6 @@ from photocal.adjustment.envelope import solve
 from photocal.adjustment.factored import Factored
 from photocal.adjustment.joint import AT_ONCE
 from photocal.adjustment.mounting import Mounting
-from photocal.adjustment.normal import other_equations
 from photocal.adjustment.score import pulled
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError
@@ -172,7 +171,7 @@ def _of_positions(at: Factored, fields: Floats) -> tuple[Floats, Floats]:
     right = np.zeros((at.problem.layout.size, len(fields)))
     if not len(fields):
         return right.T, np.zeros(0)
-    rows = other_equations(at.problem, at.state)["position"]
+    rows = at.others["position"]
     pulls = rows.coefficient[:, None] * np.repeat(
         rows.weight[:, None] * fields.T, np.diff(rows.start), axis=0
     )

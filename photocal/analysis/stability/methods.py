@@ -180,18 +180,28 @@ def fitted_pose(
     return pose, _design(misfit, first, second, pose)
 
 
-def pose_of(method: Method, misfit: Misfit, first: IdealImage, second: IdealImage) -> Floats:
-    """Find the pose of least misfit."""
+def step_of(method: Method, misfit: Misfit, first: IdealImage) -> Floats:
+    """Give what turns a small misfit into minus a step of the pose: for views that are nearly alike."""
+    return np.asarray(np.linalg.pinv(_design(misfit, first, first, np.zeros(method.pose_size))))
+
+
+def pose_of(
+    method: Method, misfit: Misfit, first: IdealImage, second: IdealImage, known: Floats | None = None
+) -> Floats:
+    """Find the pose of least misfit.
+
+    known: of `step_of`, where the views are nearly alike.
+    """
     # Steps of a pose below this (rad, or heights of the exposure) shrink by as much from one to the next.
     shrinking = 1e-3
-    pose, design, before = np.zeros(method.pose_size), None, np.inf
+    pose, step, before = np.zeros(method.pose_size), known, np.inf
     if method.pose_size == 0:
         return pose
     for _ in range(30):
         # Steps that shrink this fast need no new derivatives.
-        if design is None or before > shrinking:
-            design = np.linalg.pinv(_design(misfit, first, second, pose))
-        change = -design @ misfit(first, second, pose).ravel()
+        if step is None or shrinking < before < np.inf:
+            step = np.asarray(np.linalg.pinv(_design(misfit, first, second, pose)), dtype=np.float64)
+        change = -step @ misfit(first, second, pose).ravel()
         if not np.all(np.isfinite(change)):
             break
         pose, before = pose + change, float(np.max(np.abs(change)))

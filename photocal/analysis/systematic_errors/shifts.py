@@ -11,7 +11,6 @@ from photocal.adjustment.envelope import solve
 from photocal.adjustment.groups import tested
 from photocal.adjustment.mounting import SHIFT, STRIPS
 from photocal.adjustment.network import Network
-from photocal.adjustment.normal import other_equations
 from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.solution import Group
 from photocal.adjustment.state import State
@@ -94,7 +93,7 @@ def _whitened(fit: AdjustedNetwork) -> Floats:
 def _further(fit: AdjustedNetwork, fields: Floats) -> tuple[Floats, Floats, Floats]:
     """Normal equations of shifts along fields of the whitened positions, and how all else follows a unit."""
     at = fit.factored
-    rows = other_equations(at.problem, at.state)["position"]
+    rows = at.others["position"]
     # What exterior orientations and the mounting follow is the same for any points: these are eliminated.
     right = np.zeros((at.problem.layout.size, fields.shape[1]))
     pulls = rows.coefficient[:, None] * np.repeat(rows.weight[:, None] * fields, np.diff(rows.start), axis=0)
