@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from photocal.base.console import AsJson, answer, application, argument, option, progress
+from photocal.base.console import AsJson, Listed, answer, application, argument, option, progress
 from photocal.base.errors import ConfigurationError, OutputError
 
 FAULTS = (
@@ -14,7 +14,19 @@ FAULTS = (
 )
 # How long after the start a flight with the clocks of now begins: the recorder is started meanwhile.
 _LEAD_S = 60
-app = application("Simulate flights: their telemetry, a whole survey with its truth, devices on ports.")
+app = application(
+    "Simulate flights: their telemetry, a whole survey with its truth, devices on ports.",
+    {
+        "flight": Listed(
+            "acquire.commands.simulate:flight",
+            "Simulate a survey flight: what a surveyor brings home in site/, the truth in truth/.",
+        ),
+        "serve": Listed(
+            "acquire.commands.simulate:serve",
+            "Play a simulated flight on real ports: the vehicle by UDP, receivers on pseudo terminals.",
+        ),
+    },
+)
 
 
 @app.callback(invoke_without_command=True)
@@ -54,7 +66,6 @@ def simulate(
     )
 
 
-@app.command()
 def flight(
     configuration: Annotated[
         Path, argument("Plan of the flight; `small` and `survey` are shipped.", metavar="CONFIG.toml|NAME")
@@ -100,7 +111,6 @@ def flight(
     )
 
 
-@app.command()
 def serve(
     flown: Annotated[
         Path, argument("A simulated flight with streams, or its plan.", metavar="DIR|CONFIG.toml")
@@ -126,7 +136,7 @@ def serve(
     linger: Annotated[float, option("Seconds to stay after the end.", min=0)] = 3.0,
     as_json: AsJson = False,
 ) -> None:
-    """Play a simulated flight on real ports, as hardware: vehicle by UDP, receivers on pseudo terminals.
+    """Play a simulated flight on real ports: the vehicle by UDP, receivers on pseudo terminals.
 
     The flight begins when `acquire record` has spoken to the devices.
 
