@@ -5,15 +5,26 @@ from typing import Annotated
 
 import typer
 
-from photocal.base.console import AsJson, answer, application, argument, option, progress
+from photocal.base.console import AsJson, Listed, answer, application, argument, option, progress
 from photocal.base.errors import ConfigurationError, OutputError
 
 FAULTS = (
     "Switch on a fault; may be repeated: wrong_antenna_height, base_off, event_time_base, late_shutter, "
     "lever_arm_axis, zoom, control_digits, missing_images, telemetry_gap, cycle_slips."
 )
-# How long after the start a flight with the clocks of now begins: the recorder is started meanwhile.
-app = application("Simulate flights: their telemetry, a whole survey with its truth, devices on ports.")
+app = application(
+    "Simulate flights: their telemetry, a whole survey with its truth, devices on ports.",
+    {
+        "flight": Listed(
+            "acquire.commands.simulate:flight",
+            "Simulate a survey flight: what a surveyor brings home in site/, the truth in truth/.",
+        ),
+        "serve": Listed(
+            "acquire.commands.simulate:serve",
+            "Play a simulated flight on real ports: the vehicle by UDP, receivers on pseudo terminals.",
+        ),
+    },
+)
 
 
 @app.callback(invoke_without_command=True)
@@ -53,7 +64,6 @@ def simulate(
     )
 
 
-@app.command()
 def flight(
     configuration: Annotated[
         Path, argument("Plan of the flight; `small` and `survey` are shipped.", metavar="CONFIG.toml|NAME")
@@ -99,7 +109,6 @@ def flight(
     )
 
 
-@app.command()
 def serve(
     flown: Annotated[
         Path, argument("A simulated flight with streams, or its plan.", metavar="DIR|CONFIG.toml")
@@ -125,7 +134,7 @@ def serve(
     linger: Annotated[float, option("Seconds to stay after the end.", min=0)] = 3.0,
     as_json: AsJson = False,
 ) -> None:
-    """Play a simulated flight on real ports, as hardware: vehicle by UDP, receivers on pseudo terminals.
+    """Play a simulated flight on real ports: the vehicle by UDP, receivers on pseudo terminals.
 
     The flight begins when `acquire record` has spoken to the devices.
 
@@ -133,7 +142,7 @@ def serve(
 
     To practise with recorder and monitor: `acquire simulate serve small --now`
     """
-    # Time to simulate the beginning before it is due.
+    # How long after the start a flight with the clocks of now begins: the recorder is started meanwhile.
     lead_s = 60
     import datetime as dt
     import time

@@ -8,14 +8,16 @@ import math
 import sys
 import time
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields
 from functools import partial, wraps
-from typing import Annotated, Any, Literal, NoReturn, TextIO, get_args, get_origin, get_type_hints
+from importlib import import_module
+from typing import Annotated, Any, ClassVar, Literal, NoReturn, TextIO, get_args, get_origin, get_type_hints
 from unicodedata import category
 
 import typer
+import typer.main
 from typer.core import TyperGroup
 
 from photocal.base.errors import (
@@ -32,34 +34,95 @@ from photocal.base.progress import Bar, Standing
 LINE_EVERY_S = 10.0
 
 
+@dataclass(frozen=True)
+class Listed:
+    """A command that is not imported yet: its place ("photocal.commands.plan:flown") and its summary."""
+
+    place: str
+    summary: str
+
+
+class _Late(Mapping[str, Any]):
+    """Commands by name; the module of each is imported when it is asked for."""
+
+    def __init__(self, listed: Mapping[str, Listed]) -> None:
+        self._listed, self._made = listed, dict[str, Any]()
+
+    def __getitem__(self, name: str) -> Any:
+        """Make the command once."""
+        if name not in self._made:
+            module, _, attribute = self._listed[name].place.partition(":")
+            found = getattr(import_module(module), attribute)
+            if not isinstance(found, typer.Typer):
+                alone = typer.Typer(**_SHARED)
+                alone.command(name)(found)
+                found = alone
+            self._made[name] = typer.main.get_command(found)
+            self._made[name].name = name
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Name them in their order."""
+        return iter(self._listed)
+
+    def __len__(self) -> int:
+        """Count them."""
+        return len(self._listed)
+
+
 class _Commands(TyperGroup):
-    """Commands that the help lists with their whole summaries, however long."""
+    """Commands that the help lists with their whole summaries, without importing them."""
+
+    listed: ClassVar[Mapping[str, Listed]] = {}
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands: Any = _Late(self.listed)
+
+    def get_help_option(self, ctx: Any) -> Any:
+        """Return the option --help with a default that needs no conversion: that costs 0.1 s of imports."""
+        found = super().get_help_option(ctx)
+        if found is not None:
+            found.default = False
+        return found
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the list of commands."""
-        known = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
-        rows = [(name, summary(one.help or "")) for name, one in known if one is not None and not one.hidden]
+        del ctx
         with formatter.section("Commands"):
-            formatter.write_dl(rows)
+            formatter.write_dl([(name, one.summary) for name, one in self.listed.items()])
 
 
-def summary(help_text: str) -> str:
-    """Return the first paragraph of a help text as one line."""
-    return " ".join(help_text.strip().partition("\n\n")[0].split())
+_SHARED: dict[str, Any] = {
+    "no_args_is_help": True,
+    "add_completion": False,
+    "pretty_exceptions_enable": False,
+    # Plain help: the styled one costs a tenth of a second of imports.
+    "rich_markup_mode": None,
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
 
 
-def application(help_text: str) -> typer.Typer:
-    """Make a command line application with the shared settings."""
-    return typer.Typer(
-        cls=_Commands,
-        help=help_text,
-        no_args_is_help=True,
-        add_completion=False,
-        pretty_exceptions_enable=False,
-        # Plain help: the styled one costs a tenth of a second of imports.
-        rich_markup_mode=None,
-        context_settings={"help_option_names": ["-h", "--help"]},
-    )
+def application(help_text: str, commands: Mapping[str, Listed]) -> typer.Typer:
+    """Make a command line application of commands that are imported one by one."""
+    made = type("Commands", (_Commands,), {"listed": commands})
+    app = typer.Typer(cls=made, help=help_text, **_SHARED)
+    app.callback()(_of_program)
+    return app
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from photocal.base.version import __version__
+
+        typer.echo(f"photocal {__version__}")
+        raise typer.Exit
+
+
+def _of_program(
+    version: Annotated[bool, typer.Option("--version", help="Show the version.", callback=_version)] = False,
+) -> None:
+    del version
 
 
 def option(text: str, *names: str, **settings: Any) -> Any:

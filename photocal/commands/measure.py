@@ -22,7 +22,7 @@ def measure(
     options: MeasureOptions,
     as_json: Annotated[bool, option("Print measurement.json.", "--json")] = False,
 ) -> None:
-    """Measure images, a project, a calibration board or tie points, as a block folder for `photocal adjust`.
+    """Measure images, a project, a calibration board or tie points; write a block for `photocal adjust`.
 
     Examples: `photocal measure PROJECT.toml -o block`,
     `photocal measure --images photos --gcp gcp_list.txt --height ellipsoidal -o block`,

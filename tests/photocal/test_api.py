@@ -324,15 +324,3 @@ def test_the_version_is_that_of_the_package() -> None:
     from importlib.metadata import version
 
     assert photocal.__version__ == version("photocal")
-
-
-@pytest.mark.parametrize("command", ["plan", "check", "exposures", "ortho"])
-def test_help_loads_nothing_heavy(command: str) -> None:
-    heavy = ("numpy", "scipy", "numba", "pyarrow", "matplotlib")
-    code = (
-        "import sys\nfrom photocal.cli import app\n"
-        f"try:\n    app(['{command}', '--help'])\nexcept SystemExit:\n    pass\n"
-        f"print([m for m in {heavy} if m in sys.modules])"
-    )
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert told.splitlines()[-1] == "[]"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -35,6 +38,53 @@ def test_no_summary_is_cut(app: object, program: str, called: list[str]) -> None
     assert len(mine) >= 2
     assert [one.name for one in mine if one.summary not in shown] == []
     assert "..." not in printed.output.partition("Commands:")[2]
+
+
+# Each costs the help of a command more than a tenth of a second.
+HEAVY = ("numpy", "scipy", "numba", "pyarrow", "matplotlib", "pydantic", "rich")
+HELP_S = 0.25
+
+
+@pytest.mark.parametrize("program", ["acquire", "photocal"])
+def test_help_imports_nothing_heavy(program: str) -> None:
+    # The options of `acquire simulate` itself are converted before a command below it is asked.
+    mine = [one.name.split()[1:] for one in commands() if one.name.split()[0] == program]
+    asked = [[], *(words for words in mine if len(words) == 1)]
+    code = (
+        f"import sys\nfrom {program}.cli import app\n"
+        f"for words in {asked}:\n"
+        "    try:\n        app([*words, '--help'])\n    except SystemExit:\n        pass\n"
+        f"    if not words: print([m for m in sys.modules if m.startswith('{program}.commands.')])\n"
+        f"print([m for m in {HEAVY} if m in sys.modules])"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert len(asked) > 8
+    assert [line for line in told.splitlines() if line.startswith("[")] == ["[]", "[]"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="os.wait4 is of POSIX")
+@pytest.mark.parametrize("words", ["acquire -h", "acquire record -h", "photocal -h", "photocal check -h"])
+def test_help_takes_a_quarter_of_a_second(words: str, tmp_path: Path) -> None:
+    # Processor time, since others may be at work; compiled files are kept, as where it is installed.
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
+    environment["PYTHONPYCACHEPREFIX"] = str(tmp_path)
+    taken = []
+    for _ in range(4):
+        process = subprocess.Popen(
+            [sys.executable, "-m", *words.split()], env=environment, stdout=subprocess.DEVNULL
+        )
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        assert process.returncode == 0
+        taken.append(used.ru_utime + used.ru_stime)
+    assert min(taken[1:]) < HELP_S
+
+
+def test_the_version_is_told() -> None:
+    from photocal.base.version import __version__
+
+    for app in (acquire_app, photocal_app):
+        assert CliRunner().invoke(app, ["--version"]).stdout == f"photocal {__version__}\n"
 
 
 @pytest.mark.parametrize(
