@@ -103,7 +103,7 @@ _SHARED: dict[str, Any] = {
 }
 
 
-def application(help_text: str, commands: Mapping[str, Listed]) -> typer.Typer:
+def application(help_text: str, commands: Mapping[str, Listed] = types.MappingProxyType({})) -> typer.Typer:
     """Make a command line application of commands that are imported one by one."""
     made = type("Commands", (_Commands,), {"listed": commands})
     app = typer.Typer(cls=made, help=help_text, **_SHARED)

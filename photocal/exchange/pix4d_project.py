@@ -179,10 +179,10 @@ def _offset(folder: Path, names: Sequence[str], local: Floats) -> tuple[Floats, 
         return np.array(numbers(cells, path, "offset", 3)), []
     image_of, apart = in_order(names), list[Floats]()
     for line in read_lines(table) if table is not None else ():
-        name, *cells = line.text.rsplit(None, 6)
-        k = image_of(name.strip().strip('"')) if len(cells) == 6 else -1
+        image, *values = line.text.rsplit(None, 6)
+        k = image_of(image.strip().strip('"')) if len(values) == 6 else -1
         if k >= 0:
-            apart.append(np.array([_value(cell) for cell in cells[:3]]) - local[k])
+            apart.append(np.array([_value(value) for value in values[:3]]) - local[k])
     if not apart or not np.isfinite(apart).all():
         return np.zeros(3), ["no ..._offset.xyz: coordinates of the images are taken as they stand"]
     return np.median(apart, axis=0), [f"no ..._offset.xyz: the offset is that of ..._{EXTERNAL}"]

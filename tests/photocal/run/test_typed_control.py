@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pyproj import Transformer
@@ -46,7 +47,7 @@ def shown(orientation: int) -> Callable[[list[Row]], list[Row]]:
     return lambda rows: [turned(row) for row in rows]
 
 
-def new(photocal: Photocal, folder: Path, *more: str) -> dict[str, list[str]]:
+def new(photocal: Photocal, folder: Path, *more: str) -> dict[str, Any]:
     said = photocal("new", folder, "--json", *more)
     assert said.code == 0, said.err
     found = json.loads(said.out)
