@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from photocal.findings.listed import Findings
     from photocal.georeferencing.comparison import BlockCheck
     from photocal.judging import analyse, assess, check, compare, components, significance
-    from photocal.measurement.block_files import MeasuredBlock
+    from photocal.measurement.measurement_record import MeasuredBlock
     from photocal.measurement.options import MeasureOptions
     from photocal.navigation.exposures import Exposures
     from photocal.navigation.flight_log import FlightLog
@@ -49,9 +49,8 @@ if TYPE_CHECKING:
     from photocal.navigation.trajectory import Trajectory
     from photocal.planning.area import area_from_corners, read_area
     from photocal.planning.flight import FlightRequest
-    from photocal.planning.monte_carlo import simulate_flights
     from photocal.planning.options import FlightOptions, LimitOptions, MissionOptions, PrecisionOptions
-    from photocal.planning.plan import Plan, plan
+    from photocal.planning.plan import Plan, plan, simulate_flights
     from photocal.products.options import OrthoOptions, VolumeOptions
     from photocal.products.ortho import ortho
     from photocal.products.volume import volume
@@ -78,7 +77,7 @@ _ELSEWHERE = {
     "photocal.findings.listed": ("Findings",),
     "photocal.georeferencing.comparison": ("BlockCheck",),
     "photocal.judging": ("analyse", "assess", "check", "compare", "components", "significance"),
-    "photocal.measurement.block_files": ("MeasuredBlock",),
+    "photocal.measurement.measurement_record": ("MeasuredBlock",),
     "photocal.measurement.options": ("MeasureOptions",),
     "photocal.navigation.exposures": ("Exposures",),
     "photocal.navigation.flight_log": ("FlightLog",),
@@ -87,9 +86,8 @@ _ELSEWHERE = {
     "photocal.navigation.trajectory": ("Trajectory",),
     "photocal.planning.area": ("area_from_corners", "read_area"),
     "photocal.planning.flight": ("FlightRequest",),
-    "photocal.planning.monte_carlo": ("simulate_flights",),
     "photocal.planning.options": ("FlightOptions", "LimitOptions", "MissionOptions", "PrecisionOptions"),
-    "photocal.planning.plan": ("Plan", "plan"),
+    "photocal.planning.plan": ("Plan", "plan", "simulate_flights"),
     "photocal.products.options": ("OrthoOptions", "VolumeOptions"),
     "photocal.products.ortho": ("ortho",),
     "photocal.products.volume": ("volume",),

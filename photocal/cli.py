@@ -17,7 +17,7 @@ COMMANDS = {
         "Judge a flight before the crew drives home: complete, to be checked, or to be flown again.",
     ),
     "desk": Listed(
-        "photocal.commands.desk:desk",
+        "photocal.commands.project:desk",
         "Open a window on a folder: choose, check, run, look, certify, on a local web page.",
     ),
     "mark": Listed(
@@ -85,11 +85,11 @@ COMMANDS = {
         "Measure a flown block: height, ground sampling, tilt, real overlaps, rays, gaps, motion blur.",
     ),
     "forms": Listed(
-        "photocal.commands.forms:forms",
+        "photocal.commands.calibration:forms",
         "Write sheets to print: GNSS stations, flight log, targets, laboratory, test of a rover.",
     ),
     "radiometry": Listed(
-        "photocal.commands.radiometry:radiometry",
+        "photocal.commands.measure:radiometry",
         "Measure the radiometry of a camera for the annex of its certificate.",
     ),
     "ppk": Listed(
@@ -109,7 +109,7 @@ COMMANDS = {
         "Calibrate a site: tie a local system to a map system by the points that both tables name.",
     ),
     "rover-test": Listed(
-        "photocal.commands.rover:rover_test",
+        "photocal.commands.check:rover_test",
         "Test a GNSS rover (RTK) in the field after ISO 17123-8, simplified or full.",
     ),
     "adopt": Listed(

@@ -19,6 +19,7 @@ import numpy as np
 import tomlkit
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, TypeAdapter, ValidationError
+from tomlkit.exceptions import TOMLKitError
 
 from photocal.base.arrays import Floats
 from photocal.base.checked_json import read_checked_json
@@ -28,6 +29,19 @@ Kind = TypeVar("Kind")
 # Files of ours are no larger.
 LARGEST_JSON = 1 << 28
 _JSON_KINDS = (float, int, str, bool, list, dict, NoneType)
+
+
+def toml_document(path: Path) -> tomlkit.TOMLDocument:
+    """Read TOML that is to be changed where it stands: comments and order stay.
+
+    raises InputNotFoundError, InputMalformedError: when it cannot be read, or is no TOML.
+    """
+    try:
+        return tomlkit.parse(path.read_text(encoding="utf-8-sig"))
+    except OSError as refusal:
+        raise InputNotFoundError("cannot be read", "look at the folder first", where=path) from refusal
+    except (TOMLKitError, UnicodeDecodeError) as refusal:
+        raise InputMalformedError(f"is no TOML ({refusal})", "correct it", where=path) from refusal
 
 
 def toml_text(content: BaseModel | Mapping[str, Any], comment: str = "") -> str:

@@ -1,9 +1,11 @@
 """Questions of a local page, checked, and their answers in JSON."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import ConfigDict, TypeAdapter, ValidationError, validate_call
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
@@ -48,8 +50,32 @@ def doing(path: str, do: Callable[[bytes], Any]) -> Route:
 
 def checked(kind: type[Question], body: bytes) -> Question:
     """Read a question; raises ConfigurationError when it is none of this kind."""
-    try:
+    with _of_the_page():
         return kind.model_validate_json(body)
+
+
+def calling(do: Callable[..., Any], *given: Any) -> Callable[[bytes], Any]:
+    """Return what calls a function with what a body names: its keywords, of the types in its signature.
+
+    given: what the function takes before them.
+    raises ConfigurationError: when a body names something else; what is returned does.
+    """
+    strict = ConfigDict(strict=True, allow_inf_nan=False)
+    call, named = validate_call(config=strict)(partial(do, *given)), TypeAdapter(dict[str, Any])
+
+    def answer(body: bytes) -> Any:
+        """Call it."""
+        with _of_the_page():
+            return call(**named.validate_json(body))
+
+    return answer
+
+
+@contextmanager
+def _of_the_page() -> Iterator[None]:
+    """What is no question of ours is a ConfigurationError."""
+    try:
+        yield
     except ValidationError as failure:
         first = failure.errors()[0]
         what = ": ".join((".".join(map(str, first["loc"])), first["msg"])).lstrip(": ")

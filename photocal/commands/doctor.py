@@ -19,7 +19,6 @@ OLDEST_PYTHON = (3, 11)
 # The program is not older than this: a clock before it is wrong.
 EARLIEST = dt.date(2026, 1, 1)
 LEAST_MEMORY, LEAST_DISK, LEAST_DISK_RATE = 4 << 30, 10 << 30, 20e6
-LEAP_SECONDS_DAYS = 30
 _PROBE_BYTES = 32 << 20
 _INSTALL = "run: python -m pip install 'photocal[process]'"
 _PORTS = ("ttyUSB*", "ttyACM*")
@@ -205,7 +204,9 @@ def _leap_seconds(today: dt.date) -> Check:
     remedy = "run: python -m pip install --upgrade tzdata"
     if expires < today:
         return Check("leap seconds", "bad", f"known until {expires}", remedy)
-    if (expires - today).days < LEAP_SECONDS_DAYS:
+    # A table that expires sooner is to be renewed before the next flights.
+    soon_days = 30
+    if (expires - today).days < soon_days:
         return Check("leap seconds", "poor", f"known until {expires}", remedy)
     return Check("leap seconds", "good", f"known until {expires}")
 

@@ -11,8 +11,7 @@ from photocal.base.console import Address, answer, argument, option, printable, 
 from photocal.base.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from photocal.measurement.marking.scene import Scene
-    from photocal.measurement.marking.store import MarkStore
+    from photocal.measurement.marking.store import MarkStore, Scene
 
 
 def mark(
@@ -49,7 +48,7 @@ def mark(
 def _scene(
     project: Path | None, images: Path | None, points: Path | None, output: Path | None, run: Path | None
 ) -> tuple[Scene, Path]:
-    from photocal.measurement.marking.scene import scene_of_folder, scene_of_project
+    from photocal.measurement.marking.store import scene_of_folder, scene_of_project
 
     if (project is None) == (images is None):
         raise ConfigurationError("what to mark is not clear", "give PROJECT.toml or --images FOLDER")
@@ -114,8 +113,7 @@ def targets(
     Example: `photocal targets apriltag_36h11 --numbers 1-20 --size-mm 160 -o targets.pdf`
     """
     from photocal.base.files import output_file
-    from photocal.measurement.boards import parse_board
-    from photocal.measurement.markers import DICTIONARIES
+    from photocal.measurement.markers import DICTIONARIES, parse_board
     from photocal.measurement.target_shapes import board_target, coded_target, plain_target, sheets_pdf
 
     if not 1 <= size_mm <= 1000:

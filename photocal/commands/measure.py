@@ -1,14 +1,17 @@
-"""`photocal measure`: from images to the observations of a block."""
+"""`photocal measure`: from images to the observations of a block.
+
+`photocal radiometry`: sharpness, resolution on the ground, fall of light and linearity of a camera.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated, Any
 
-from photocal.base.console import answer, argument, option, progress, spread
+from photocal.base.console import AsJson, answer, argument, option, progress, spread
 from photocal.base.errors import ConfigurationError
 from photocal.base.policy import policy
-from photocal.measurement.options import MeasureOptions
+from photocal.measurement.options import MeasureOptions, RadiometryOptions
 
 
 @spread
@@ -47,8 +50,8 @@ def measure(
 def _written(project: Path | None, images: Path, options: MeasureOptions, output: Path) -> dict[str, Any]:
     """Measure and write; images that cannot be oriented cost nobody the minutes of measuring."""
     from photocal.base.files import output_folder
-    from photocal.measurement.block_files import SCHEMA, MeasuredBlock
     from photocal.measurement.measure import measure as measured_pictures
+    from photocal.measurement.measurement_record import SCHEMA, MeasuredBlock
     from photocal.measurement.oriented_ties import UnorientedError
     from photocal.project import read_project
 
@@ -154,3 +157,29 @@ def _camera_lines(camera: dict[str, Any]) -> list[str]:
     if not released["credible"]:
         says += ": not credible, it absorbs what the model lacks; oblique or crossed views determine c"
     return [*lines, says]
+
+
+@spread
+def radiometry(
+    options: RadiometryOptions,
+    output: Annotated[
+        Path | None, option("TOML to write, [radiometry] of a certificate's particulars.", "-o", "--output")
+    ] = None,
+    *,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the radiometry of a camera for the annex of its certificate.
+
+    Grey values must be linear: raw pictures, or TIFF made without a curve of tones.
+
+    Example: `photocal radiometry --edge edge.tif --star star.tif --place 2100,1480,600 --gsd-cm 1.5`
+    """
+    from photocal.base.files import output_file
+    from photocal.measurement.radiometry import measure_radiometry
+
+    figures = measure_radiometry(options)
+    lines = [f"{name} = {value}" for name, value in figures.items()]
+    if output is not None:
+        with output_file(output) as aside:
+            aside.write_text("\n".join(["[radiometry]", *lines, ""]), encoding="utf-8")
+    answer(as_json, lambda: figures, lambda: "\n".join(lines))

@@ -53,7 +53,7 @@ def plan_network(
 
     Example: `photocal plan-network configs/networks/test-field.toml -o planned`
     """
-    from photocal.planning.close_range import plan_network as planned
+    from photocal.planning.network_file import plan_network as planned
 
     with progress("adjusting the planned network", None):
         made = planned(network)

@@ -35,8 +35,7 @@ def study(
             lambda: "\n".join(f"{key:<12} {one.year}  {one.title}" for key, one in listed.items()),
         )
         return
-    from photocal.studies.comparison import as_record, as_text
-    from photocal.studies.repeat import repeat_study
+    from photocal.studies.comparison import as_record, as_text, repeat_study
 
     source = study_folder(name)
     folder = output or Path(source.name)

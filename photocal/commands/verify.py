@@ -17,8 +17,7 @@ from photocal.base.errors import (
 )
 
 if TYPE_CHECKING:
-    from photocal.report.signing import Authenticity
-    from photocal.report.timestamp import Stamped
+    from photocal.report.signing import Authenticity, Stamped
     from photocal.report.verification import Difference
     from photocal.run.repeated_findings import RepeatedFindings
 
@@ -42,8 +41,7 @@ def keys(
     Example: `photocal keys --new "Laboratory for photogrammetry"`
     """
     from photocal.base.operating_system import settings_folder
-    from photocal.report.journal import read_journal
-    from photocal.report.keys import known_keys, new_key, own_key, quoted, revoked_keys
+    from photocal.report.keys import known_keys, new_key, own_key, quoted, read_journal, revoked_keys
 
     if journal:
         entries = read_journal(file)
@@ -103,17 +101,16 @@ def sign(
     """
     from photocal.report.issue import read_record
     from photocal.report.keys import quoted
-    from photocal.report.signing import SIGNATURE
+    from photocal.report.signing import SIGNATURE, STAMP, stamp
     from photocal.report.signing import sign as signed
-    from photocal.report.timestamp import STAMP, stamp
 
     certified, folder = read_record(certificate)
-    made = signed(folder, certified["number"], dt.datetime.now(dt.UTC), passphrase)
+    key, told = signed(folder, certified["number"], dt.datetime.now(dt.UTC), passphrase)
     # The stamp of an earlier signature is none of this one; where signing fails, both stay.
     (folder / STAMP).unlink(missing_ok=True)
-    key, file = made.key, str(folder / SIGNATURE)
-    if made.told:
-        typer.echo(printable(f"warning: {made.told}"), err=True)
+    file = str(folder / SIGNATURE)
+    if told:
+        typer.echo(printable(f"warning: {told}"), err=True)
     when = None if time_stamp is None else stamp(folder / SIGNATURE, time_stamp)
     content = {"number": certified["number"], "fingerprint": key.fingerprint, "file": file}
     answer(
@@ -173,8 +170,7 @@ def verify(
     from photocal.findings.texts import catalogue
     from photocal.findings.verdict import verdict_json
     from photocal.report.issue import NAME, read_record
-    from photocal.report.journal import against_journal, read_journal
-    from photocal.report.keys import known_keys, revoked_keys
+    from photocal.report.keys import against_journal, known_keys, read_journal, revoked_keys
     from photocal.report.keys import trust as remember
     from photocal.report.signing import SIGNATURE, authenticity
     from photocal.report.verification import changed_files, stated_by_issuer
@@ -262,8 +258,7 @@ def verify(
 
 def _stamped(folder: Path, authorities: Path | None) -> "tuple[Stamped | None, list[str]]":
     """The time stamp of a certificate's signature, and what is wrong with it."""
-    from photocal.report.signing import SIGNATURE
-    from photocal.report.timestamp import STAMP, stamped
+    from photocal.report.signing import SIGNATURE, STAMP, stamped
 
     if not (folder / SIGNATURE).is_file():
         return None, [f"{STAMP} stands without a signature"] if (folder / STAMP).exists() else []

@@ -14,7 +14,7 @@ from photocal.base.files import output_file, write_json
 from photocal.base.operating_system import cache_folder
 from photocal.debrief import verdict
 from photocal.debrief.pictures import QUICK, PictureQuality, look, picture_findings
-from photocal.debrief.verdict import Debrief, Together
+from photocal.debrief.verdict import CombinedCheck, Debrief
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import Camera
 from photocal.measurement.image_file import list_images
@@ -30,8 +30,6 @@ from photocal.run.stage import alone
 _POLL_S = 0.5
 # A picture that cannot be read may still be on its way when it was written to so lately.
 _PATIENCE_S = 10.0
-# Fewer pictures are not oriented: the first ones of a flight say nothing together.
-_FEWEST = 6
 
 _Rest = tuple[int, int]
 
@@ -91,12 +89,14 @@ def follow(
     last: of the last certificate, to hold the first calibration against.
     """
     check_output(project)
+    # Fewer pictures are not oriented: the first ones of a flight say nothing together.
+    fewest = 6
     with alone(project.output), _gently(workers) as (lookers, judge):
         plan, folder = MatchingPlan(cache_folder(), 1, QUICK), _Folder(project.picture_folder)
         looks, lag_s, oriented, not_before = dict[Path, PictureQuality](), 0.0, 0, 0.0
         pending = dict[Future[PictureQuality], tuple[Path, float]]()
-        judging: Future[tuple[Together, ExposureRun | None, float]] | None = None
-        together, run = Together(), None
+        judging: Future[tuple[CombinedCheck, ExposureRun | None, float]] | None = None
+        together, run = CombinedCheck(), None
         made, changed = _so_far({}, run, together, 0), True
         while True:
             for path, since in folder.at_rest():
@@ -112,7 +112,7 @@ def follow(
             if judging is not None and judging.done() and not stop.is_set():
                 together, run, took_s = judging.result()
                 judging, not_before, changed = None, time.monotonic() + took_s, True
-            enough = len(looks) >= _FEWEST and len(looks) > oriented and time.monotonic() >= not_before
+            enough = len(looks) >= fewest and len(looks) > oriented and time.monotonic() >= not_before
             if judging is None and enough and not stop.is_set():
                 oriented = len(looks)
                 judging = judge.submit(_together, _ordered(looks), last, plan, stop)
@@ -163,7 +163,7 @@ class _StoppedError(Exception):
 
 def _together(
     looks: Sequence[PictureQuality], last: Sequence[Camera], plan: MatchingPlan, stop: threading.Event
-) -> tuple[Together, ExposureRun | None, float]:
+) -> tuple[CombinedCheck, ExposureRun | None, float]:
     """What pictures say together, their exposures, and how long that took, s."""
 
     @contextmanager
@@ -188,7 +188,7 @@ def _together(
 
 
 def _so_far(
-    looks: dict[Path, PictureQuality], run: ExposureRun | None, together: Together, waiting: int
+    looks: dict[Path, PictureQuality], run: ExposureRun | None, together: CombinedCheck, waiting: int
 ) -> Debrief:
     ordered = _ordered(looks)
     findings = verdict.in_order([*picture_findings(ordered), *together.findings])

@@ -23,8 +23,8 @@ from photocal.measurement.match_images import FEATURES, MatchingPlan, match_all
 from photocal.measurement.oriented_ties import first_orientation
 from photocal.measurement.picture_tests import judge_pictures
 from photocal.measurement.position_files import local_places
-from photocal.measurement.start_block import start_block
 from photocal.measurement.tie_adjustment import camera_figures, with_released_c
+from photocal.measurement.tie_block import start_block
 from photocal.navigation.exposures import Exposures
 
 # Enough for overlap, orientation and a first calibration; a tenth of the time of the features for the map.
@@ -33,7 +33,6 @@ _LOOK, _NAMES = 1, ("figures", "pixels", "scale", "descriptors")
 MEASURED = ("softness", "white", "black", "range")
 # Tiles in which sharpness is looked for, px and number along each side.
 _TILE, _TILES = 384, 3
-_PLAIN = 4.0
 # A picture whose edges are softer than the flight's usual ones by this much, and by so many deviations.
 _SOFTER, _DEVIATIONS = 1.35, 6.0
 # Share of the picture without detail, and the least range of grey values of the rest.
@@ -89,11 +88,13 @@ def _softness(grey: NDArray[np.uint8]) -> float:
     # of which tan^2(w/2) follows.
     height, width = grey.shape
     softness = []
+    # Grey values that scatter less show nothing whose edges could be judged.
+    plain = 4.0
     for row in np.linspace(0, max(height - _TILE, 0), _TILES).astype(int):
         for column in np.linspace(0, max(width - _TILE, 0), _TILES).astype(int):
             tile = grey[row : row + _TILE, column : column + _TILE].astype(np.float32)
             # Tiles without detail show noise, not edges.
-            if tile.std() < _PLAIN:
+            if tile.std() < plain:
                 continue
             lowest = np.inf
             for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):

@@ -34,8 +34,6 @@ from photocal.run.exposures import exposures_of
 from photocal.run.output_place import check_output
 from photocal.run.stage import alone
 
-# Neighbours along a strip must share so much of what they show: less is no stereoscopic cover.
-LEAST_OVERLAP = 0.5
 # Good pictures that must show each place inside the flown area, and the share of it that may be without.
 LEAST_COVER, _MAY_LACK = 2, 0.002
 
@@ -98,13 +96,15 @@ def coverage(
 def coverage_findings(flown: Coverage, exposures: Exposures) -> list[Finding]:
     """Name strips that must be flown again, and holes."""
     findings, forward = [], flown.block.forward
+    # Neighbours along a strip must share so much of what they show: less is no stereoscopic cover.
+    least_overlap = 0.5
     for strip in np.unique(flown.block.strip).tolist():
-        weak = np.flatnonzero((flown.block.strip == strip) & (forward < LEAST_OVERLAP))
+        weak = np.flatnonzero((flown.block.strip == strip) & (forward < least_overlap))
         if len(weak):
             figures = {
                 "strip": float(strip + 1),
                 "overlap_percent": 100.0 * float(forward[weak].min()),
-                "least_percent": 100.0 * LEAST_OVERLAP,
+                "least_percent": 100.0 * least_overlap,
                 "events": tuple(str(n) for n in exposures.number[flown.rows[flown.good[weak]]]),
             }
             findings.append(Finding("strip-gap", "grave", str(strip + 1), figures))
@@ -131,7 +131,7 @@ _ORDER = (*AGAIN, *LOOK, "note", "passed", "untested")
 
 
 @dataclass(frozen=True)
-class Together:
+class CombinedCheck:
     """What pictures say together, where each alone says nothing."""
 
     findings: tuple[Finding, ...] = ()
@@ -147,7 +147,7 @@ class Debrief:
     findings: tuple[Finding, ...]
     looks: tuple[PictureQuality, ...]
     exposures: ExposureRun | None
-    together: Together
+    together: CombinedCheck
 
 
 def debrief(project: Project, processes: Workers, progress: Progress, last: Sequence[Camera] = ()) -> Debrief:
@@ -191,7 +191,7 @@ def judged_together(
     last: Sequence[Camera],
     plan: MatchingPlan,
     progress: Progress,
-) -> Together:
+) -> CombinedCheck:
     """Orient good pictures quickly, hold their calibration against the last one, and see what they cover."""
     unusable = [one for one in picture_findings(looks) if one.code in pictures.UNUSABLE]
     bad = {name for finding in unusable for name in finding.figures["images"]}
@@ -205,7 +205,7 @@ def judged_together(
     if run is not None:
         flown, uncovered = _covered(run, rig, good, quick)
         findings = [*findings, *uncovered]
-    return Together(tuple(findings), flown, quick)
+    return CombinedCheck(tuple(findings), flown, quick)
 
 
 def _exposure_findings(run: ExposureRun, count: int) -> list[Finding]:

@@ -1,4 +1,7 @@
-"""Answers to the step Certificate: particulars, preview, signature, what is sent, and a check of others."""
+"""Answers to the step Certificate: particulars, preview, signature, what is sent, and a check of others.
+
+What only people know of a certificate, as a form: its fields, their values, and the file they stand in.
+"""
 
 import datetime as dt
 import json
@@ -9,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Annotated, Any
 
+import tomlkit
 from pydantic import Field
 from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
@@ -18,14 +22,16 @@ from starlette.routing import BaseRoute, Route
 
 from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
-from photocal.base.web_answers import checked, doing, short_body, telling
-from photocal.desk import particulars, project_file
+from photocal.base.files import output_file
+from photocal.base.web_answers import calling, checked, doing, short_body, telling
+from photocal.desk import project_file
 from photocal.desk.folder import pictures
 from photocal.desk.jobs import asked
 from photocal.desk.session import Desk
 from photocal.findings.texts import catalogue
 from photocal.findings.verdict import read_verdict, verdict_text
 from photocal.project import Project
+from photocal.report.certificate_metadata import Metadata, read_particulars
 from photocal.report.keys import own_key
 from photocal.report.signing import SIGNATURE
 from photocal.results.folder import RESULT
@@ -33,6 +39,98 @@ from photocal.run.stage import made_in
 
 if TYPE_CHECKING:
     from photocal.report.stored_analysis import AnalysedRun
+
+NAME = "toml"
+# Sections and keys of the form, in its order; the file may have more, which stay.
+FORM = {
+    "document": ("place", "comments"),
+    "camera": ("model", "manufacturer", "serial", "lens_type", "lens_serial"),
+    "campaign": ("method", "test_field", "platform"),
+    "conditions": (
+        *("temperature_c", "relative_humidity_percent", "pressure_hpa", "focus", "aperture"),
+        *("stabilisation", "firmware", "in_camera_correction", "state"),
+    ),
+    "validity": ("until", "conditions"),
+    "responsible": ("name", "title", "registration"),
+    "laboratory": ("name", "address", "traceability"),
+}
+_NUMBERS = ("temperature_c", "relative_humidity_percent", "pressure_hpa")
+_DAYS = ("until",)
+
+
+def fields(path: Path | None, told: Mapping[str, Mapping[str, str | float]]) -> list[dict[str, Any]]:
+    """Every field with what was typed, and with what the pictures say where nothing was."""
+    typed = _tables(path)
+    return [
+        {
+            "key": f"{section}.{key}",
+            "section": section,
+            "kind": "number" if key in _NUMBERS else "date" if key in _DAYS else "text",
+            "value": _shown(typed.get(section, {}).get(key)),
+            "told": _shown(told.get(section, {}).get(key)),
+        }
+        for section, keys in FORM.items()
+        for key in keys
+    ]
+
+
+def _shown(value: Any) -> str:
+    return "" if value is None else str(value)
+
+
+def _tables(path: Path | None) -> dict[str, Any]:
+    if path is None or not path.is_file():
+        return {}
+    unwrapped: dict[str, Any] = tomlkit.parse(path.read_text(encoding="utf-8-sig")).unwrap()
+    return unwrapped
+
+
+def written(path: Path | None, given: Mapping[str, str]) -> str:
+    """Text of the file with the values of the form: empty ones are taken out, all others and comments stay.
+
+    raises ConfigurationError: for a key that is none of the form, and for what is no number or no day.
+    """
+    there = path is not None and path.is_file()
+    document = tomlkit.parse(path.read_text(encoding="utf-8-sig")) if there and path else tomlkit.document()
+    for name, text in given.items():
+        section, _, key = name.partition(".")
+        if key not in FORM.get(section, ()):
+            raise ConfigurationError(f"{name} is no particular of the form", "use the page")
+        if section not in document:
+            if not text.strip():
+                continue
+            document[section] = tomlkit.table()
+        table: Any = document[section]
+        if not text.strip():
+            table.pop(key, None)
+        else:
+            table[key] = _value(name, key, text.strip())
+    return tomlkit.dumps(document)
+
+
+def _value(name: str, key: str, text: str) -> Any:
+    try:
+        if key in _NUMBERS:
+            return float(text.replace(",", "."))
+        if key in _DAYS:
+            return dt.date.fromisoformat(text)
+    except ValueError:
+        form = "a number" if key in _NUMBERS else "a day, such as 2027-05-31"
+        raise ConfigurationError(f"{name} = {text!r} is not {form}", "correct it") from None
+    return text
+
+
+def write(path: Path, text: str, day: dt.date) -> None:
+    """Write the file, when the whole of it can be read; raises ConfigurationError otherwise."""
+    with output_file(path) as aside:
+        aside.write_text(text, encoding="utf-8", newline="\n")
+        read(aside, day)
+
+
+def read(path: Path, day: dt.date, **more: Any) -> Metadata:
+    """Read it as a certificate does."""
+    return read_particulars(path, day, **more)
+
 
 # A document within the page: no script, no network, nothing but itself.
 _FRAMED = (
@@ -50,15 +148,6 @@ class _Form(Table, strict=True):
     client: Short = ""
     operator: Short = ""
     language: str = "en"
-
-
-class _Sign(Table, strict=True):
-    passphrase: Short = ""
-
-
-class _Key(Table, strict=True):
-    name: Annotated[str, Field(min_length=1, max_length=100)]
-    passphrase: Short = ""
 
 
 def routes(desk: Desk) -> list[BaseRoute]:
@@ -84,8 +173,8 @@ def routes(desk: Desk) -> list[BaseRoute]:
         telling("/api/certificate", lambda: state(desk)),
         doing("/api/certificate/set", lambda body: _set(desk, checked(_Form, body))),
         doing("/api/certificate/preview", lambda body: _preview(desk, checked(_Form, body))),
-        doing("/api/certificate/sign", lambda body: _sign(desk, checked(_Sign, body))),
-        doing("/api/certificate/key", lambda body: _key(desk, checked(_Key, body))),
+        doing("/api/certificate/sign", calling(_sign, desk)),
+        doing("/api/certificate/key", calling(_key, desk)),
         doing("/api/certificate/verify", lambda _: _verify_own(desk)),
         Route("/certificate/preview", framed),
         Route("/certificate/zip", packed),
@@ -95,14 +184,14 @@ def routes(desk: Desk) -> list[BaseRoute]:
 
 def state(desk: Desk) -> dict[str, Any]:
     """The certificate as it lies there, its form, and the key."""
-    from photocal.measurement.picture_conditions import told_conditions
+    from photocal.measurement.picture_tests import told_conditions
 
     project, key = desk.project(), own_key()
     given = project.contents.certificate
     folder = project.output / "certificate"
     return {
         "ready": (made_in(project.output) / "analysis" / RESULT).is_file(),
-        "fields": particulars.fields(given.particulars, told_conditions(pictures(desk))),
+        "fields": fields(given.particulars, told_conditions(pictures(desk))),
         "file": desk.named(_file(desk, project)),
         **given.model_dump(include={*_KEYS}),
         "key": None if key is None else {"name": key.name, "fingerprint": key.fingerprint},
@@ -133,7 +222,7 @@ def issued_as(folder: Path, language: str = "en") -> dict[str, Any] | None:
 
 
 def _file(desk: Desk, project: Project) -> Path:
-    return project.contents.certificate.particulars or desk.folder / particulars.NAME
+    return project.contents.certificate.particulars or desk.folder / NAME
 
 
 def _set(desk: Desk, form: _Form) -> dict[str, Any]:
@@ -141,11 +230,11 @@ def _set(desk: Desk, form: _Form) -> dict[str, Any]:
     with desk.lock:
         project = desk.project()
         path = _file(desk, project)
-        text = particulars.written(path, form.values)
+        text = written(path, form.values)
         if text.strip() or path.is_file():
-            particulars.write(path, text, _today())
+            write(path, text, _today())
             if project.contents.certificate.particulars is None:
-                project_file.put(desk.file, "certificate.particulars", particulars.NAME)
+                project_file.put(desk.file, "certificate.particulars", NAME)
         for key in _KEYS:
             value, known = getattr(form, key), getattr(project.contents.certificate, key)
             if value != known:
@@ -161,18 +250,18 @@ def _preview(desk: Desk, form: _Form) -> dict[str, Any]:
     """Make the certificate of a form that is not kept yet, without writing anything of the project."""
     # What computes is loaded when it is needed: the window is there at once.
     from photocal.findings.document import html
-    from photocal.measurement.picture_conditions import told_conditions
+    from photocal.measurement.picture_tests import told_conditions
     from photocal.report.certificate import certificate
     from photocal.run.summary import gather, read_json
 
     project = desk.project()
     work, key = made_in(project.output), own_key()
     run = _analysed(work / "analysis")
-    text = particulars.written(_file(desk, project), form.values)
+    text = written(_file(desk, project), form.values)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / particulars.NAME
+        path = Path(folder) / NAME
         path.write_text(text or "# nothing was typed\n", encoding="utf-8")
-        given = particulars.read(
+        given = read(
             path,
             _today(),
             client=form.client,
@@ -208,14 +297,16 @@ def issued(desk: Desk) -> str:
     return path.read_text(encoding="utf-8")
 
 
-def _sign(desk: Desk, told: _Sign) -> dict[str, Any]:
+def _sign(desk: Desk, passphrase: Short = "") -> dict[str, Any]:
     # What is secret stands in no list of processes.
-    asked(["sign", desk.project().output / "certificate"], {"PHOTOCAL_PASSPHRASE": told.passphrase})
+    asked(["sign", desk.project().output / "certificate"], {"PHOTOCAL_PASSPHRASE": passphrase})
     return state(desk)
 
 
-def _key(desk: Desk, told: _Key) -> dict[str, Any]:
-    asked(["keys", "--new", told.name], {"PHOTOCAL_PASSPHRASE": told.passphrase})
+def _key(
+    desk: Desk, name: Annotated[str, Field(min_length=1, max_length=100)], passphrase: Short = ""
+) -> dict[str, Any]:
+    asked(["keys", "--new", name], {"PHOTOCAL_PASSPHRASE": passphrase})
     return state(desk)
 
 

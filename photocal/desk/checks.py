@@ -6,10 +6,9 @@ from typing import Any
 
 from starlette.routing import BaseRoute
 
-from photocal.base.checked_toml import Table
 from photocal.base.errors import PhotocalError
 from photocal.base.files import output_file
-from photocal.base.web_answers import checked, doing, telling
+from photocal.base.web_answers import calling, doing, telling
 from photocal.desk.jobs import FOLDER, asked
 from photocal.desk.project_file import field_of
 from photocal.desk.session import Desk
@@ -20,16 +19,12 @@ JOB = "debrief"
 _KEPT, _DEBRIEF = "check.json", "debrief.json"
 
 
-class _Debrief(Table, strict=True):
-    live: bool = False
-
-
 def routes(desk: Desk) -> list[BaseRoute]:
     """Return what answers for the step Check."""
     return [
         telling("/api/check", lambda: state(desk)),
         doing("/api/check/start", lambda _: _check(desk)),
-        doing("/api/debrief/start", lambda body: _debrief(desk, checked(_Debrief, body))),
+        doing("/api/debrief/start", calling(_debrief, desk)),
         doing("/api/debrief/stop", lambda _: _stop(desk)),
     ]
 
@@ -103,9 +98,9 @@ def debrief(desk: Desk) -> dict[str, Any] | None:
         return None
 
 
-def _debrief(desk: Desk, told: _Debrief) -> dict[str, Any]:
-    live: list[str | Path] = ["--live"] if told.live else []
-    desk.start(JOB, ["debrief", desk.folder, *live])
+def _debrief(desk: Desk, *, live: bool = False) -> dict[str, Any]:
+    follow: list[str | Path] = ["--live"] if live else []
+    desk.start(JOB, ["debrief", desk.folder, *follow])
     return state(desk)
 
 

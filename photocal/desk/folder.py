@@ -12,10 +12,10 @@ from pydantic import Field, FiniteFloat
 from starlette.routing import BaseRoute
 
 from photocal.base.arrays import Floats
-from photocal.base.checked_toml import Table, read_tables
+from photocal.base.checked_toml import read_tables
 from photocal.base.errors import PhotocalError
 from photocal.base.files import output_file
-from photocal.base.web_answers import checked, doing, finding, telling
+from photocal.base.web_answers import calling, doing, finding, telling
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, ROLES
 from photocal.desk import project_file
@@ -28,43 +28,22 @@ from photocal.project import ASKED, NAME
 # What `photocal new` has said, kept for a window that is opened again.
 _SAID = "new.json"
 _MOST_FOLDERS, _MOST_FILES = 300, 20_000
-_MOST_SYSTEMS = 8
 _LOGS = (".mcap", ".tlog", ".bin", ".ulg", ".ubx")
 Short = Annotated[str, Field(max_length=300)]
-
-
-class _Opened(Table, strict=True):
-    path: Annotated[str, Field(max_length=4000)]
-
-
-class _New(Table, strict=True):
-    crs: Short = ""
-    height: Short = ""
-    marks: Short = ""
-
-
-class _Value(Table):
-    key: Short
-    value: Short | Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)] | None
-
-
-class _Role(Table, strict=True):
-    point: Short
-    role: Short
 
 
 def routes(desk: Desk) -> list[BaseRoute]:
     """Return what answers for the step Folder."""
     return [
         finding("/api/folders", lambda given: folders(desk, given.get("path", ""))),
-        doing("/api/open", lambda body: _open(desk, checked(_Opened, body).path)),
+        doing("/api/open", calling(_open, desk)),
         telling("/api/project", lambda: project(desk)),
-        doing("/api/new", lambda body: _new(desk, checked(_New, body))),
+        doing("/api/new", calling(_new, desk)),
         finding("/api/systems", lambda given: systems(desk, given.get("text", ""))),
         telling("/api/places", lambda: places(desk)),
         telling("/api/heights", lambda: heights(desk)),
-        doing("/api/set", lambda body: _set(desk, checked(_Value, body))),
-        doing("/api/role", lambda body: _role(desk, checked(_Role, body))),
+        doing("/api/set", calling(_set, desk)),
+        doing("/api/role", calling(_role, desk)),
     ]
 
 
@@ -101,7 +80,7 @@ def _holds(desk: Desk, folder: Path) -> dict[str, Any]:
     return {"name": folder.name, "path": desk.named(folder), **counted}
 
 
-def _open(desk: Desk, path: str) -> dict[str, Any]:
+def _open(desk: Desk, path: Annotated[str, Field(max_length=4000)]) -> dict[str, Any]:
     desk.open(path)
     return desk.shown()
 
@@ -186,12 +165,16 @@ def _local_degrees(places: Floats) -> list[list[float] | None]:
     return [*moved.tolist()]
 
 
-def _new(desk: Desk, told: _New) -> dict[str, Any]:
+def _new(desk: Desk, crs: Short = "", height: Short = "", marks: Short = "") -> dict[str, Any]:
     arguments: list[str | Path] = ["new", desk.folder]
-    (crs, height), before = _answered(desk), said(desk) or {}
+    (known_crs, known_height), before = _answered(desk), said(desk) or {}
     # What a person has chosen of the marks stays chosen.
-    marks = told.marks or before.get("marks", "")
-    for name, value in (("--crs", told.crs or crs), ("--height", told.height or height), ("--marks", marks)):
+    marks = marks or before.get("marks", "")
+    for name, value in (
+        ("--crs", crs or known_crs),
+        ("--height", height or known_height),
+        ("--marks", marks),
+    ):
         arguments += [name, value] if value else []
     arguments += ["--again"] if desk.file.is_file() else []
     with desk.lock:
@@ -222,7 +205,9 @@ def systems(desk: Desk, text: str) -> dict[str, Any]:
     """Map systems that a text may mean, and those of the place where the pictures are."""
     from photocal.geometry.systems import called
 
-    found = called(text, None, _MOST_SYSTEMS) if text.strip() else ()
+    # A longer list helps nobody to choose.
+    most_systems = 8
+    found = called(text, None, most_systems) if text.strip() else ()
     exact = _by_code(text)
     listed = [{"code": one.code, "name": one.name, "area": one.area} for one in found]
     listed = [*exact, *(one for one in listed if one["code"] not in {entry["code"] for entry in exact})]
@@ -264,14 +249,18 @@ def heights(desk: Desk) -> list[dict[str, str]]:
     return [{"code": code, "name": name} for code, name in heights_at(float(latitude), float(longitude))]
 
 
-def _set(desk: Desk, told: _Value) -> dict[str, Any]:
+def _set(
+    desk: Desk,
+    key: Short,
+    value: Short | Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)] | None,
+) -> dict[str, Any]:
     with desk.lock:
-        project_file.put(desk.file, told.key, told.value)
+        project_file.put(desk.file, key, value)
     return project(desk)
 
 
-def _role(desk: Desk, told: _Role) -> dict[str, Any]:
+def _role(desk: Desk, point: Short, role: Short) -> dict[str, Any]:
     with desk.lock:
         points = read_tables(desk.file).get("control", {}).get("points", "")
-        project_file.put_role(desk.inside(desk.named(desk.folder / str(points))), told.point, told.role)
+        project_file.put_role(desk.inside(desk.named(desk.folder / str(points))), point, role)
     return places(desk)

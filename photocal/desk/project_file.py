@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import tomlkit
-from tomlkit.exceptions import TOMLKitError
 
 from photocal.base.checked_toml import checked_tables, parse_toml
+from photocal.base.codec import toml_document
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.base.files import output_file
 from photocal.block.model import ROLES
@@ -64,7 +64,7 @@ def field_of(error: str) -> str:
 
 def shown(path: Path) -> dict[str, Any]:
     """Fields of a project file with their values and comments, and what is wrong with it."""
-    document = _parsed(path)
+    document = toml_document(path)
     problem = ""
     try:
         _check(tomlkit.dumps(document), path)
@@ -103,7 +103,7 @@ def put(path: Path, key: str, value: Any) -> None:
     field = next((one for one in FIELDS if one.key == key), None)
     if field is None and key != "certificate.particulars":
         raise ConfigurationError(f"{key} is no field of the form", "edit the file", where=path)
-    document, (section, name) = _parsed(path), key.split(".")
+    document, (section, name) = toml_document(path), key.split(".")
     if section not in document:
         document[section] = tomlkit.table()
     table: Any = document[section]
@@ -167,15 +167,6 @@ def _refuse_system(crs: Any, path: Path) -> None:
 
 def _check(text: str, path: Path) -> None:
     checked_tables(parse_toml(text), Contents, path, {"folder": path.parent})
-
-
-def _parsed(path: Path) -> tomlkit.TOMLDocument:
-    try:
-        return tomlkit.parse(path.read_text(encoding="utf-8-sig"))
-    except OSError as refusal:
-        raise InputNotFoundError("cannot be read", "look at the folder first", where=path) from refusal
-    except (TOMLKitError, UnicodeDecodeError) as refusal:
-        raise InputMalformedError(f"is no TOML ({refusal})", "correct it", where=path) from refusal
 
 
 def put_role(path: Path, point: str, role: str) -> None:

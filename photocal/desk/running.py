@@ -9,9 +9,8 @@ from typing import Annotated, Any
 from pydantic import Field
 from starlette.routing import BaseRoute
 
-from photocal.base.checked_toml import Table
 from photocal.base.errors import PhotocalError
-from photocal.base.web_answers import checked, doing, telling
+from photocal.base.web_answers import calling, doing, telling
 from photocal.desk.certificate import issued_as
 from photocal.desk.project_file import field_of
 from photocal.desk.session import Desk
@@ -25,15 +24,11 @@ _WEIGHTS = {"ppk": 8, "exposures": 2, "measurements": 60, "block": 2, "calibrati
 _WEIGHTS |= {"georeferencing": 30, "analysis": 50, "certificate": 2}
 
 
-class _Again(Table, strict=True):
-    again: Annotated[str, Field(max_length=50)] = ""
-
-
 def routes(desk: Desk) -> list[BaseRoute]:
     """Return what answers for the step Run."""
     return [
         telling("/api/run", lambda: state(desk)),
-        doing("/api/run/start", lambda body: _start(desk, checked(_Again, body).again)),
+        doing("/api/run/start", calling(_start, desk)),
         doing("/api/run/stop", lambda _: _stop(desk)),
         telling("/api/run/log", lambda: {"log": desk.job(JOB).log()}),
     ]
@@ -107,7 +102,7 @@ def told_stages(log: str, names: list[str]) -> dict[str, str]:
     return found
 
 
-def _start(desk: Desk, again: str) -> dict[str, Any]:
+def _start(desk: Desk, again: Annotated[str, Field(max_length=50)] = "") -> dict[str, Any]:
     arguments: list[str | Path] = ["run", desk.folder]
     desk.start(JOB, [*arguments, "--again", again] if again else arguments)
     return state(desk)

@@ -1,10 +1,19 @@
-"""How each step stands: a state for its sign and colour, and the key of its word."""
+"""How each step stands: a state for its sign and colour, and the key of its word.
 
+The window: its page, its libraries, and the answers of each step.
+"""
+
+from pathlib import Path
 from typing import Any
 
+from starlette.applications import Starlette
+
 from photocal.base.errors import PhotocalError
-from photocal.desk import certificate, checks, running
+from photocal.base.web import folder_of
+from photocal.base.web_answers import calling, doing, refusal, telling
+from photocal.desk import certificate, checks, folder, look, record, running
 from photocal.desk.session import Desk
+from photocal.findings.texts import catalogue
 from photocal.project import Project
 
 Stands = dict[str, str]
@@ -65,3 +74,29 @@ def _processed(desk: Desk, project: Project) -> dict[str, Stands]:
 
 def _as(state: str, word: str) -> Stands:
     return {"state": state, "word": word}
+
+
+_STEPS = (folder.routes, checks.routes, running.routes, look.routes, certificate.routes, record.routes)
+
+
+def application(root: Path, cache: Path) -> Starlette:
+    """Return the page of a folder and what answers it.
+
+    raises InputNotFoundError: when there is no such folder.
+    """
+    desk = Desk(root, cache)
+    return Starlette(
+        routes=[
+            *folder_of("photocal.desk", "page"),
+            *folder_of("photocal.desk", "vendor", "/vendor/"),
+            telling("/api/desk", lambda: shown(desk)),
+            doing("/api/language", calling(_speak, desk)),
+            *(route for step in _STEPS for route in step(desk)),
+        ],
+        exception_handlers={PhotocalError: refusal},
+    )
+
+
+def _speak(desk: Desk, language: str) -> dict[str, str]:
+    desk.language = catalogue(language).language
+    return {"language": desk.language}

@@ -20,8 +20,6 @@ from photocal.exchange.source import Line, decimal_comma, number, read_text, req
 from photocal.geometry.camera import Camera
 
 _SENSOR = re.compile(r"sensor width of\s*(\d+(?:\.\d+)?)\s*x\s*(\d+(?:\.\d+)?)\s*mm")
-# Measurements are within half a side from the middle, distorted ones by little more.
-FAR = 3.0
 
 
 @dataclass(frozen=True)
@@ -53,6 +51,8 @@ def read_bingo(
     image, pitch, middle, unknown, outside = -1, (0.0, 0.0), (0.0, 0.0), 0, 0
     rays, where, number_of = array("q"), array("d"), dict[str, int]()
     seen = dict[int, set[int]]()
+    # Measurements are within half a side from the middle, distorted ones by little more.
+    far = 3.0
     for at, text in _lines(path):
         cells = text.split()
         if cells[0] == "-99":
@@ -63,7 +63,7 @@ def read_bingo(
             point = number_of.setdefault(" ".join(cells[:-2]), len(number_of))
             x, y = (number(cell, Line(path, at, text).place, "x, y") for cell in cells[-2:])
             column, row = x / pitch[0], y / pitch[1]
-            if abs(column) > FAR * (middle[0] + 1) or abs(row) > FAR * (middle[1] + 1):
+            if abs(column) > far * (middle[0] + 1) or abs(row) > far * (middle[1] + 1):
                 outside += 1
             elif point not in seen[image]:
                 seen[image].add(point)

@@ -252,7 +252,7 @@ FORMATS: tuple[Format, ...] = (
            "own", "none", "none", "none", "m", writes="write"),
     Format("pix4d", "photocal.exchange.pix4d_project", "Pix4D, .cam", ("cameras",), "none", CORNER, VISION,
            "brown-ideal", "mm on a nominal sensor", writes="write"),
-    Format("pix4d-external", "photocal.exchange.pix4d_tables", "Pix4D, orientations", ("orientations",),
+    Format("pix4d-external", "photocal.exchange.pix4d_project", "Pix4D, orientations", ("orientations",),
            "own", "none", PHOTO, "none", "m, deg", "read_external",
            search="*calibrated_external_camera_parameters.txt"),
     Format("odm-shots", "photocal.exchange.opensfm", "ODM, shots.geojson", ("orientations",), "own", "none",

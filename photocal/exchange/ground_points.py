@@ -26,8 +26,6 @@ from photocal.geometry.conversion import Conversion
 from photocal.geometry.rotation import matrix_from_angles
 
 _CAMERA_TO_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-# Some metres to the north, in which meridians are straight.
-_NORTH_DEG = 1e-4
 _NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 # The list says nothing of how well a mark is placed.
 _SIGMA_PX = (1.0, 1.0)
@@ -49,21 +47,12 @@ class GcpRow:
     name: str
 
 
-@dataclass(frozen=True)
-class GcpList:
-    """What gcp_list.txt has, row by row.
+def read_gcp_rows(path: Path) -> tuple[str, tuple[GcpRow, ...], tuple[InputMalformedError, ...]]:
+    """Read gcp_list.txt as somebody has typed it, row by row; rows that cannot be read come with the reason.
 
-    system: as the first line calls it; empty where that is a row already.
-    refused: rows that cannot be read, with the reason.
+    returns: the system as the first line calls it, empty where that is a row already; rows; refusals.
+    raises InputMalformedError: when no row can be read.
     """
-
-    system: str
-    rows: tuple[GcpRow, ...]
-    refused: tuple[InputMalformedError, ...]
-
-
-def read_gcp_rows(path: Path) -> GcpList:
-    """Read gcp_list.txt as somebody has typed it; raises InputMalformedError when no row can be read."""
     lines = read_lines(path, comment="#")
     system, lines = _system(lines)
     rows, refused = list[GcpRow](), list[InputMalformedError]()
@@ -81,7 +70,7 @@ def read_gcp_rows(path: Path) -> GcpList:
             if refused
             else InputMalformedError("has no row of a ground point", "is the file cut?", where=path)
         )
-    return GcpList(system, tuple(rows), tuple(refused))
+    return system, tuple(rows), tuple(refused)
 
 
 def read_gcp_list(
@@ -215,7 +204,9 @@ def _to_map(crs: str, x: Floats, y: Floats) -> Floats:
 
     way = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
     lon, lat = way.transform(x, y)
-    north_x, north_y = way.transform(lon, lat + _NORTH_DEG, direction="INVERSE")
+    # Some metres to the north, in which meridians are straight.
+    north_deg = 1e-4
+    north_x, north_y = way.transform(lon, lat + north_deg, direction="INVERSE")
     convergence = np.arctan2(north_x - x, north_y - y)
     s, c, zeros, ones = np.sin(convergence), np.cos(convergence), np.zeros_like(x), np.ones_like(x)
     turn = np.array([[c, s, zeros], [-s, c, zeros], [zeros, zeros, ones]])

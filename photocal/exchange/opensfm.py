@@ -85,7 +85,7 @@ def read_shots(path: Path) -> ForeignProject:
     A feature has the rotation vector from the map's to camera axes, and as its translation the projection
     centre in the UTM zone that ODM has chosen (before 2021 and without positions in axes of its own).
     """
-    from photocal.exchange.output_system import utm_zone_of
+    from photocal.exchange.pix4d_project import utm_zone_of
 
     features = structured(path, "a shots.geojson of ODM", lambda: list(read_json(path)["features"]))
 

@@ -26,7 +26,6 @@ from photocal.exchange.source import Line, image_size, numbers, read_lines, read
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.conversion import Conversion, converted
 
-DEFAULT_SIGMA_PX = 1.0
 # Tolerance and number of iterations of the head; nothing depends on them.
 _HEAD = "0.0005 20"
 _TERMS = ("K1", "K2", "K3", "P1", "P2", "B1")
@@ -173,7 +172,8 @@ def _mark(line: Line, photos: list[Photo], shift: int) -> parts.Mark:
     if not 0 <= photo < len(photos):
         raise line.malformed(f"observes photo {photo:g}, which is not in the file")
     smart = sx == 0 and sy == 0
-    sigma = (DEFAULT_SIGMA_PX, DEFAULT_SIGMA_PX) if smart else (sx, sy)
+    default_sigma_px = 1.0
+    sigma = (default_sigma_px, default_sigma_px) if smart else (sx, sy)
     name = str(int(point) + shift) if smart else str(int(point))
     return parts.Mark(photos[int(photo)].name, name, *to_column_row(x, y), sigma, line.place)
 

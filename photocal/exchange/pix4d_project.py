@@ -6,6 +6,16 @@ less `offset.xyz` and R, x = K [R, -R t] X. `tp_bingo.txt` has the measurements 
 middle of the image, y up. Coordinates are those of the output system (`wkt.prj`), in which the program
 reckons as if it were Cartesian; the block takes them for what they are. Source: layouts of real projects, of
 one full-frame camera and of rigs.
+
+The system of the coordinates that another program has written, from the WKT beside them.
+
+Single files of a Pix4D project: its cameras (.cam), and its orientations without measurements.
+
+`pix4d_calibrated_internal_camera_parameters.cam` has for each camera F, Px, Py in mm on a sensor of the
+stated size, from the image's upper-left corner, and K1 K2 K3, T1 T2 of coordinates divided by F
+(`brown-ideal`). `calibrated_external_camera_parameters.txt` has a head and a row for each image: name X Y Z
+Omega Phi Kappa, m in the output system (`wkt.prj` beside it) and degrees of our own rotation. The .cam of the
+same name without "pix4d" is Inpho's: it has no distortion, and is not read.
 """
 
 import re
@@ -13,22 +23,91 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.base.errors import InputMalformedError, InputNotFoundError
-from photocal.block.model import Images
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Images
 from photocal.exchange.bingo import in_order, read_bingo
 from photocal.exchange.foreign_project import ASSUMED_M, ForeignProject, without_weak_points
-from photocal.exchange.output_system import output_system
 from photocal.exchange.parts import PointEntry, block, distinct, object_points, pixels
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, require_one_focal_length, to_pinhole
 from photocal.exchange.reconstruction import Choices, Reconstruction, file_name
 from photocal.exchange.rigs import of_poses
-from photocal.exchange.source import Line, decimal_comma, image_size, numbers, read_lines
+from photocal.exchange.source import Line, decimal_comma, image_size, number, numbers, read_lines, read_text
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion
+from photocal.geometry.frames import UNSTATED, parsed, reference_frame
+
+
+def output_system(file: Path | None, places: Floats) -> tuple[str, str, list[str]]:
+    """Frame and kind of heights of a block, and what was assumed of them.
+
+    places (n, 3): projection centres in that system.
+    """
+    if file is None:
+        # Coordinates of a site grid are smaller than northings.
+        of_a_map_m = 2e4
+        large = bool((np.abs(np.nanmedian(places[:, :2], axis=0)) > of_a_map_m).all())
+        told = ["no ..._wkt.prj names the system of the coordinates: taken as Cartesian"]
+        return "local", "", told if large else []
+    text = read_text(file).strip()
+    if text.startswith(("LOCAL_CS", "ENGCRS", "LOCAL_DATUM")):
+        return "local", "", []
+    try:
+        system = parsed(text)
+        if system.is_geographic:
+            raise ConfigurationError("is in degrees")
+        for name, height in _kinds(system):
+            frame = reference_frame(name, height, np.nanmedian(places, axis=0))
+            try:
+                frame.to_local(places[:1])
+            except InputMalformedError:
+                # The grid of its geoid is missing, or it does not hold here.
+                continue
+            return name, height, [] if height == "orthometric" else [HEIGHTS_UNSAID]
+    except PhotocalError:
+        return "local", "", [f"{file.name} names no map system in metres: coordinates are taken as Cartesian"]
+    return "local", "", [f"{file.name}: {system.name} does not hold where the block lies: taken as Cartesian"]
+
+
+def utm_zone_of(lonlat: Floats, places: Floats) -> tuple[str, tuple[str, ...]]:
+    """UTM zone in which places (n, 3) lie where others say in degrees; "local" where they do not."""
+    from pyproj import Transformer
+    from pyproj.aoi import AreaOfInterest
+    from pyproj.database import query_utm_crs_info
+
+    longitude, latitude = np.median(lonlat, axis=0).tolist()
+    if abs(longitude) <= 180 and abs(latitude) <= 84:
+        here = AreaOfInterest(longitude, latitude, longitude, latitude)
+        # Degrees of some digits and metres of one place differ by less, m.
+        near_m = 5.0
+        for zone in query_utm_crs_info("WGS 84", here):
+            code = f"{zone.auth_name}:{zone.code}"
+            way = Transformer.from_crs("EPSG:4326", code, always_xy=True)
+            away = np.hypot(*(np.column_stack(way.transform(*lonlat.T)) - places[:, :2]).T)
+            if np.nanmax(away) <= near_m:
+                return code, (HEIGHTS_UNSAID,)
+    return "local", ("the places are in no UTM zone: taken as Cartesian",)
+
+
+HEIGHTS_UNSAID = "the files do not state the reference of their heights: they are used as given"
+
+
+def _kinds(system: Any) -> list[tuple[str, str]]:
+    """Names of a system with its heights, and of its plane alone."""
+    plane = system.sub_crs_list[0] if system.is_compound else system
+    names = [(_name(plane), UNSTATED)]
+    return [(_name(system), "orthometric"), *names] if system.is_compound else names
+
+
+def _name(system: Any) -> str:
+    """Its code, if it is that of a register, else its whole text."""
+    authority = system.to_authority(min_confidence=70)
+    return ":".join(authority) if authority else str(system.to_wkt())
+
 
 HEAD = "Pix4D camera calibration file"
 CAMERAS = "calibrated_camera_parameters.txt"
@@ -359,3 +438,78 @@ def _positions(folder: Path, names: Sequence[str]) -> tuple[Floats, Floats, Floa
     unstated = ~(stated > least_m).all(axis=1)
     given[unstated], stated[unstated] = np.nan, np.nan
     return given, stated, np.hstack([np.radians(angles), places])
+
+
+_SENSOR = re.compile(r"#Focal Length mm assuming a sensor width of ([0-9.eE+-]+)x([0-9.eE+-]+)mm")
+_KEYS = ("F", "Px", "Py", "K1", "K2", "K3", "T1", "T2")
+
+
+def read_cam(path: Path, sizes_px: Iterable[tuple[int, int]]) -> tuple[Camera, ...]:
+    """Read the cameras of a .cam file.
+
+    sizes_px: of the pictures that are there: the file has its sensors in mm alone, of which the first with
+        the same relation of its sides is taken.
+
+    raises InputMalformedError: also when no picture has the shape of a sensor.
+    """
+    lines, sizes = read_lines(path, comment=""), tuple(sizes_px)
+    starts = [k for k, line in enumerate(lines) if line.text.startswith(HEAD)]
+    if not starts:
+        raise InputMalformedError("has no camera of Pix4D", "is it a .cam file of Pix4D?", where=path)
+    parts = [lines[k:end] for k, end in zip(starts, [*starts[1:], len(lines)], strict=True)]
+    names = [path.stem if len(parts) == 1 else f"{path.stem}-{k}" for k in range(1, len(parts) + 1)]
+    return tuple(_listed_camera(part, sizes, name, path) for part, name in zip(parts, names, strict=True))
+
+
+def _listed_camera(lines: list[Line], sizes: tuple[tuple[int, int], ...], name: str, path: Path) -> Camera:
+    found = [sensor for line in lines if (sensor := _SENSOR.match(line.text.strip()))]
+    if not found:
+        raise lines[0].malformed("states no width of a sensor", "was it written completely?")
+    width, height = (number(cell, lines[0].place, "sensor") for cell in found[0].groups())
+    value = dict[str, float]()
+    for line in lines:
+        cells = line.text.split()
+        if cells[0] in _KEYS:
+            if len(cells) != 2 or cells[0] in value:
+                raise line.malformed(f"{cells[0]} is not one number")
+            value[cells[0]] = number(cells[1], line.place, cells[0])
+    missing = [key for key in _KEYS if key not in value]
+    if missing:
+        raise lines[0].malformed(f"has no {missing[0]}", "was it written completely?")
+    fitting = [size for size in sizes if _shaped(size, width, height)]
+    if not fitting:
+        raise lines[0].malformed(
+            f"its sensor of {width:g} x {height:g} mm has the shape of no picture",
+            "is it the camera of these pictures?",
+        )
+    size = fitting[0]
+    pixel = width / size[0]
+    f, cx, cy = value["F"] / pixel, value["Px"] / pixel - 0.5, value["Py"] / pixel - 0.5
+    k1, k2, k3, t1, t2 = (value[key] for key in _KEYS[3:])
+    return from_pinhole(Pinhole(size, f, f, cx, cy, k1, k2, k3, t1, t2), name, path)
+
+
+def _shaped(size: tuple[int, int], width: float, height: float) -> bool:
+    """Whether a sensor of some mm has the shape of a picture."""
+    # Sides of a sensor and of its pictures are in the same relation, but for rounding.
+    alike = 1e-3
+    return width > 0 and height > 0 and abs(width / height * size[1] / size[0] - 1) <= alike
+
+
+def read_external(path: Path) -> ForeignProject:
+    """Read the orientations of a project without its measurements: images of unknown cameras."""
+    names, rows = list[str](), list[list[float]]()
+    for line in read_lines(path)[1:]:
+        cells = line.text.rsplit(None, 6)
+        if len(cells) != 7:
+            raise line.malformed("has no name X Y Z Omega Phi Kappa", "was it written completely?")
+        names.append(cells[0].strip().strip('"'))
+        rows.append(numbers(" ".join(cells[1:]), line.place, "exterior orientation"))
+    if not rows:
+        raise InputMalformedError("has no exterior orientation", "was it written completely?", where=path)
+    values = np.array(rows)
+    poses = np.hstack([np.radians(values[:, 3:]), values[:, :3]])
+    frame, height, remarks = output_system(file_of(path.parent, "wkt.prj"), poses[:, 3:])
+    images = Images(tuple(distinct(names)), np.full(len(names), -1), poses)
+    made = block(path.name.removesuffix(EXTERNAL).strip("_"), (), images, NO_POINTS, NO_OBSERVATIONS, [path])
+    return ForeignProject("Pix4D", replace(made, frame=frame, height=height), remarks=tuple(remarks))

@@ -114,8 +114,6 @@ PHRASES = {"alike": "candidate", "slips": "slip", "changes": "change"}
 PHRASES |= {"lever": "lever", "exchanged": "lever"}
 # A parameter of the camera model in a subject; names of points and images have digits, too.
 _TERM = re.compile(r"\b(?:[KPB][1-4]|[xy]0)\b")
-# Longer lists of points and images end with a number.
-_NAMED = 8
 
 
 def plain(parameter: str) -> str:
@@ -261,8 +259,10 @@ def _figure(key: str, value: Any, say: Catalogue, name: Callable[[str], str]) ->
         return ", ".join(f"{_term(code, say)} {float(part):.0%}" for code, _, part in shares)
     if key in ("numbers", "stated", "difference"):
         return ", ".join(_number(text, say) for text in texts)
-    more = say("join.more", count=len(texts) - _NAMED) if len(texts) > _NAMED else ""
-    return ", ".join(texts[:_NAMED]) + more
+    # Longer lists of points and images end with a number.
+    named = 8
+    more = say("join.more", count=len(texts) - named) if len(texts) > named else ""
+    return ", ".join(texts[:named]) + more
 
 
 def _term(code: str, say: Catalogue) -> str:

@@ -29,8 +29,6 @@ MOST_PAIRS, MOST_TRIPLES = 45, 1000
 # A block of uncertain cameras is bent by this share of its extent; more is a gross error. Within it a point
 # does not fit that misses by this many times the median, and by so many sigmas and pixels.
 BENT, STRAY, SURVEYS, PIXELS = 0.01, 5.0, 5.0, 3.0
-# Of triples that fit about as well, the one that turns the block least.
-ALIKE = 1.2
 # Control contradicts positions that all lie off by so many sigmas, and by so many metres.
 AGAINST, AGAINST_M, AGAINST_UP_M = 6.0, 10.0, 60.0
 _TIE = ROLES.index("tie")
@@ -236,7 +234,9 @@ def _consistent(source: Floats, target: Floats, sigma: Floats, gsd: float, *, pl
         return replace(nothing, why="control-in-line")
     moves += [replace(_SAME, shift=shift) for shift in (target - source if placed else [])]
     cost = [float(np.minimum(misses_of(move, source, target), limit).sum()) for move in moves]
-    alike = [move for move, c in zip(moves, cost, strict=True) if c <= ALIKE * min(cost) + gsd]
+    # Of triples that fit about as well, the one that turns the block least.
+    about_as_well = 1.2
+    alike = [move for move, c in zip(moves, cost, strict=True) if c <= about_as_well * min(cost) + gsd]
     best = min(alike, key=lambda move: _turned(move, whole=placed))
     fits = misses_of(best, source, target) <= limit
     if fits.sum() < policy.fewest_control or 2 * fits.sum() <= count:

@@ -20,7 +20,6 @@ TWIN_M, TWIN_SHARE, SAME_M = 1.0, 0.02, 0.002
 FOOT_M = 0.3048
 # Neighbouring zones that are tried.
 ZONES = (-1, 1, -2, 2)
-MOST_NAMED = 5
 _SLIPS = {
     "far-exchanged": "E and N are exchanged",
     "far-in-feet": "it is in feet",
@@ -166,5 +165,7 @@ def alone(marks: Sequence[Mark], points: ObjectPoints) -> Iterator[str]:
 
 def listed(names: Sequence[str]) -> str:
     """Some names, and how many more there are."""
-    some = ", ".join(names[:MOST_NAMED])
-    return some if len(names) <= MOST_NAMED else f"{some} and {len(names) - MOST_NAMED} more"
+    # More names are no sentence.
+    most_named = 5
+    some = ", ".join(names[:most_named])
+    return some if len(names) <= most_named else f"{some} and {len(names) - most_named} more"

@@ -32,12 +32,6 @@ Grey = Bytes | NDArray[np.uint16] | NDArray[np.float32]
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".pgm")
 # Pictures that are not read: of telephones, and raw ones, which each maker writes in his own way.
 UNREAD = (".heic", ".heif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".gif")
-# The largest aerial cameras have 500 million pixels; more is not an image but an attack on the memory.
-LARGEST_PX = 700_000_000
-SMALLEST_SIDE_PX = 16
-# Beside the picture itself: grey values, what is sought in them, and the space of its search. Measured on
-# 700 million pixels of 8 bits: 4.4 bytes in all.
-_WORKING_BYTES = 4
 _STORED_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I;16L": 2, "I;16N": 2}
 # What a PNG says beside its pixels: EXIF, and texts, of which one may be XMP.
 _PNG_NOTES, _PNG_HEAD, _LONGEST_NOTE = (b"eXIf", b"iTXt", b"tEXt", b"zTXt"), 33, 1 << 24
@@ -277,7 +271,10 @@ def _png_notes(file: IO[bytes]) -> Iterator[bytes]:
 def _require_memory(image: Image) -> None:
     """Look at the memory before pixels fill it: else the system may end the program, or others."""
     free = available_memory()
-    needed = image.width * image.height * (_WORKING_BYTES + _STORED_BYTES.get(image.mode, 4))
+    # Beside the picture itself: grey values, what is sought in them, and the space of its search. Measured on
+    # 700 million pixels of 8 bits: 4.4 bytes in all.
+    working_bytes = 4
+    needed = image.width * image.height * (working_bytes + _STORED_BYTES.get(image.mode, 4))
     if free is not None and needed > free:
         raise PictureTooLargeError(
             f"its {image.width} x {image.height} pixels take about {needed / 1e9:.1f} GB of memory, "
@@ -309,9 +306,13 @@ def _unknown(path: Path) -> InputMalformedError:
 def _require_sensible(path: Path, size: tuple[int, int]) -> None:
     width, height = size
     malformed = InputMalformedError.at(path)
-    if width * height > LARGEST_PX:
+    # The largest aerial cameras have 500 million pixels; more is not an image but an attack on the memory.
+    largest_px = 700_000_000
+    if width * height > largest_px:
         raise malformed(
-            f"claims {width} x {height} pixels", f"is the header damaged? At most {LARGEST_PX:_} are read"
+            f"claims {width} x {height} pixels", f"is the header damaged? At most {largest_px:_} are read"
         )
-    if min(size) < SMALLEST_SIDE_PX:
-        raise malformed(f"has only {width} x {height} pixels", f"at least {SMALLEST_SIDE_PX} are needed")
+    # Smaller ones are icons, no photographs.
+    smallest_side_px = 16
+    if min(size) < smallest_side_px:
+        raise malformed(f"has only {width} x {height} pixels", f"at least {smallest_side_px} are needed")

@@ -15,8 +15,6 @@ FASTEST_M_S = 80.0
 SIGMAS, UNSTATED_M = 5.0, 20.0
 # Lines that are closer in time are the same exposure, s.
 SAME_S = 1e-3
-# A receiver that has fixes knows the time of a pulse to microseconds; one that is worse had none, s.
-UNSURE_S = 1e-3
 # Positions of pictures whose receivers state no sigma, m: of code, and a second old at 15 m/s. Those that
 # state one are of the exposure; the camera hangs beside the antenna.
 PICTURE_SIGMA_M, PICTURE_LATE_M, PICTURE_OFFSET_M = 3.0, 15.0, 1.0
@@ -149,11 +147,13 @@ def judge_marks(lines: Sequence[str], time_s: Floats, accuracy_s: Floats) -> lis
     unknown = np.full((len(lines), 3), np.nan)
     marks = ListedPositions(tuple(lines), time_s, unknown, unknown, np.full(len(lines), -1))
     close = np.concatenate([[False], np.diff(time_s) < SAME_S])
-    unsure = accuracy_s > UNSURE_S
+    # A receiver that has fixes knows the time of a pulse to microseconds; one that is worse had none, s.
+    unsure_s = 1e-3
+    unsure = accuracy_s > unsure_s
     worst = float(np.max(accuracy_s, initial=0.0)) * 1e3
     return [
         *_named("events-twice", close, marks),
-        *_named("marks-unsure", unsure, marks, accuracy_ms=worst, limit_ms=UNSURE_S * 1e3),
+        *_named("marks-unsure", unsure, marks, accuracy_ms=worst, limit_ms=unsure_s * 1e3),
     ]
 
 

@@ -9,21 +9,31 @@ tags of cameras".
 A maker's calibration is a prior, not a truth. On a Phantom 4 Multispectral fx and fy differ by 0.9 %, 7 px at
 the edge, where its pixels are square to 0.1 %; p1 equals p2 to the last digit, and both are 6 px in the
 corner too large; cy has the opposite sign. Its radial terms are right to 2 %. Priors are as wide as that.
+
+A maker's tag against the camera that an adjustment found: how far apart they record the same rays.
+
+Cameras on one frame, recognised_heads by the names of their pictures: which belong to one exposure.
 """
 
 import math
 import re
 import tomllib
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from functools import cache
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 
-from photocal.base.arrays import Integers
+from photocal.base.arrays import Floats, Integers
+from photocal.base.policy import policy
 from photocal.exchange.pinhole import Pinhole, from_pinhole
+from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera, camera
+from photocal.geometry.distortion import projected, undistorted
 from photocal.measurement.image_facts import ImageFacts
 
 # What a parameter may be wrong by, as the shift of a point in the corner of the picture over c: measured for
@@ -261,3 +271,149 @@ def start_camera(name: str, facts: ImageFacts, c: float, estimate: tuple[str, ..
     return camera(
         name, "brown-ideal", "px", facts.size_px, (1.0, 1.0), {"c": c}, estimate=estimate, affinity="after"
     )
+
+
+CODE = "maker-tag"
+
+
+def tag_finding(camera: Camera) -> Finding | None:
+    """Say by how much the tag that a camera came with is wrong in a corner; None where it is not shown to be.
+
+    A maker's calibration is a prior: what contradicts it says something about the tag, not that the camera
+    has changed.
+    """
+    if not camera.stated_by or camera.given is None or camera.sigma is None:
+        return None
+    corners = 0.5 * np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
+    corners *= np.array(camera.size_px) * camera.pitch
+    rays = undistorted(camera, corners) / camera.value("c")
+    q = np.column_stack([rays, np.full(len(rays), -1.0)])
+    apart = projected(camera.with_values(camera.given), q) - corners
+    spread = _sigma_along(camera, q, apart)
+    size = np.linalg.norm(apart, axis=1)
+    seen = np.isfinite(size)
+    if not seen.any():
+        return None
+    worst = int(np.nanargmax(size))
+    px, sigma_px = size[worst] / camera.pitch[0], spread[worst] / camera.pitch[0]
+    if px < policy.small_px or px < policy.times_999 * sigma_px:
+        return None
+    moved = np.abs(camera.values - camera.given)
+    names = tuple(
+        n for n in camera.free if moved[PARAMETERS.index(n)] > policy.times_999 * camera.sigma_of(n)
+    )
+    figures = {"camera": camera.id, "tag": camera.stated_by, "px": float(px), "sigma_px": float(sigma_px)}
+    return Finding(CODE, "note", camera.id, {**figures, "names": names or camera.free})
+
+
+def _sigma_along(camera: Camera, q: Floats, apart: Floats) -> Floats:
+    """Standard deviations of where the adjusted camera records rays, along what it is apart by (n,)."""
+    way = apart / np.maximum(np.linalg.norm(apart, axis=1), 1e-300)[:, None]
+    covariance = camera.covariance_of(camera.free)
+    slopes = np.empty((len(q), len(camera.free)))
+    # Step of a derivative, in standard deviations.
+    step_sigmas = 0.1
+    for j, name in enumerate(camera.free):
+        step = step_sigmas * camera.sigma_of(name)
+        ahead, behind = (
+            projected(camera.changed(**{name: camera.value(name) + sign * step}), q) for sign in (1.0, -1.0)
+        )
+        slopes[:, j] = np.einsum("ni,ni->n", ahead - behind, way) / max(2.0 * step, 1e-300)
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", slopes, covariance, slopes), 0.0)))
+
+
+# More heads than this are no frame but a count of pictures; fewer exposures show no pattern; a head misses a
+# few exposures only; pictures of one exposure are this close in time, s.
+MOST_HEADS, FEWEST_EXPOSURES, MISSED, TOGETHER_S = 12, 2, 0.5, 3.0
+_PARTS = re.compile(r"[_\-. ]+")
+Keys = dict[Path, tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class HeadGroup:
+    """Pictures of several cameras that expose together.
+
+    heads: names of the heads, the one that the others refer to first.
+    head, exposure: of each picture, by its path; pictures that belong to none are missing.
+    by: what tells it: "names" or "folders".
+    """
+
+    heads: tuple[str, ...]
+    head: Mapping[Path, str]
+    exposure: Mapping[Path, str]
+    by: str
+
+
+def recognised_heads(pictures: Mapping[Path, ImageFacts]) -> HeadGroup | None:
+    """Recognise pictures of cameras on one frame; None where each picture stands for itself."""
+    for by, split in (("names", _by_name), ("folders", _by_folder)):
+        if frames := list(split(pictures, by)):
+            return max(frames, key=lambda frame: len(frame.head))
+    return None
+
+
+def _by_name(pictures: Mapping[Path, ImageFacts], by: str) -> Iterable[HeadGroup]:
+    """One part of the names tells the heads, the others the exposure."""
+    for at in (-1, 0, -2):
+        keys: Keys = {}
+        for path in pictures:
+            parts = _PARTS.split(path.stem)
+            if len(parts) >= max(2, abs(at)):
+                head = parts[at]
+                keys[path] = head, "_".join(part for k, part in enumerate(parts) if k != at % len(parts))
+        yield from _frame(pictures, keys, by)
+
+
+def _by_folder(pictures: Mapping[Path, ImageFacts], by: str) -> Iterable[HeadGroup]:
+    """Folders with equally many pictures hold a head each, and the pictures follow in their order."""
+    folders = defaultdict[Path, list[Path]](list)
+    for path in sorted(pictures):
+        folders[path.parent].append(path)
+    counts = {len(paths) for paths in folders.values()}
+    names = [folder.name for folder in folders]
+    if len(counts) == 1 and len(set(names)) == len(names) > 1:
+        keys = {
+            path: (folder.name, f"{k:05}")
+            for folder, paths in folders.items()
+            for k, path in enumerate(paths, start=1)
+        }
+        yield from _frame(pictures, keys, by)
+
+
+def _frame(pictures: Mapping[Path, ImageFacts], keys: Keys, by: str) -> Iterable[HeadGroup]:
+    """Give the frame of a division into heads and exposures, if it is one."""
+    heads = Counter(head for head, _ in keys.values())
+    exposures = defaultdict[str, list[Path]](list)
+    for path, (_, exposure) in keys.items():
+        exposures[exposure].append(path)
+    shared = {name: paths for name, paths in exposures.items() if len(paths) > 1}
+    often = [head for head, count in heads.items() if count >= MISSED * len(exposures)]
+    if not (1 < len(often) <= MOST_HEADS) or len(shared) < max(FEWEST_EXPOSURES, MISSED * len(exposures)):
+        return
+    head = {path: name for path, (name, _) in keys.items() if name in often}
+    for name in often:
+        # A head is one camera.
+        if len({_camera_key(pictures[path]) for path, other in head.items() if other == name}) > 1:
+            return
+    if all(_together([pictures[path] for path in paths]) for paths in shared.values()):
+        order = sorted(often, key=lambda name: _rank(name, head, pictures))
+        yield HeadGroup(tuple(order), head, {path: keys[path][1] for path in head}, by)
+
+
+def _camera_key(facts: ImageFacts) -> tuple[object, ...]:
+    return facts.make, facts.model, facts.size_px, facts.maker_camera.get("RigCameraIndex", "")
+
+
+def _together(facts: Sequence[ImageFacts]) -> bool:
+    """Whether pictures were taken at one time; without times they may have been."""
+    stated = [image.maker_camera for image in facts]
+    captures = {tags[key] for tags in stated for key in ("CaptureUUID", "CaptureId") if key in tags}
+    times = [datetime.fromisoformat(image.taken).timestamp() for image in facts if image.taken]
+    return len(captures) < 2 and (not times or max(times) - min(times) < TOGETHER_S)
+
+
+def _rank(name: str, head: Mapping[Path, str], pictures: Mapping[Path, ImageFacts]) -> tuple[int, str]:
+    """The head that its maker numbers 0 comes first, then by number and name."""
+    first = next(path for path, other in head.items() if other == name)
+    index = pictures[first].maker_camera.get("RigCameraIndex", "")
+    return (int(index) if index.isdigit() else MOST_HEADS), name

@@ -109,13 +109,13 @@ def read_typed_list(path: Path, sigma_m: Sigma) -> ControlMarks:
 
     The system is as the first line calls it. A name has the place of its first row, a place the name.
     """
-    given = read_gcp_rows(path)
-    refused, marks = [str(refusal) for refusal in given.refused], dict[tuple[str, str], Mark]()
+    crs, given, unreadable = read_gcp_rows(path)
+    refused, marks = [str(refusal) for refusal in unreadable], dict[tuple[str, str], Mark]()
     names: dict[tuple[float, float, float], str] = {}
     places: dict[str, tuple[float, float, float]] = {}
     # No coordinate is larger, m, mm among them.
     most_m = 1e11
-    for row in given.rows:
+    for row in given:
         if max(map(abs, row.xyz)) > most_m:
             refused.append(f"{row.line.place}: {max(row.xyz, key=abs):g} is no coordinate of this earth")
             continue
@@ -132,9 +132,9 @@ def read_typed_list(path: Path, sigma_m: Sigma) -> ControlMarks:
         else:
             marks[row.image, known] = Mark(row.image, known, row.column, row.row, _BY_HAND, row.line.place)
     entries = [PointEntry(name, "control", xyz, (sigma_m[0], *sigma_m)) for name, xyz in places.items()]
-    rows = len(given.rows) + len(given.refused)
+    rows = len(given) + len(unreadable)
     points = object_points(entries)
-    return ControlMarks(given.system, points, tuple(marks.values()), (), rows, tuple(refused))
+    return ControlMarks(crs, points, tuple(marks.values()), (), rows, tuple(refused))
 
 
 def in_map_system(given: ControlMarks) -> ControlMarks:

@@ -7,11 +7,11 @@ from photocal.base.errors import ConfigurationError
 from photocal.base.operating_system import cache_folder
 from photocal.base.progress import Progress, quiet
 from photocal.base.workers import Cluster
-from photocal.measurement.block_files import MeasuredBlock
-from photocal.measurement.boards import parse_board
 from photocal.measurement.image_file import list_images
 from photocal.measurement.maker_camera import GivenLens
+from photocal.measurement.markers import parse_board
 from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.measurement_record import MeasuredBlock
 from photocal.measurement.options import MeasureOptions
 from photocal.measurement.orientation import of_exposures
 from photocal.measurement.picture_block import GivenControl, measure_images, measure_project
@@ -36,7 +36,7 @@ def measure(
 
     Returns
     -------
-    Measured
+    MeasuredBlock
         The block, and the record of how it was measured (`measurement.json`).
 
     Raises

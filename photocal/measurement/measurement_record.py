@@ -1,7 +1,11 @@
-"""What is told of a measurement: its figures, what was left out and why, marks that do not fit."""
+"""What is told of a measurement: its figures, what was left out and why, marks that do not fit.
+
+A block that was measured, and the record of how.
+"""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +13,14 @@ import numpy as np
 
 from photocal.base.arrays import Bytes, Floats
 from photocal.base.errors import PhotocalError
+from photocal.base.files import write_json
 from photocal.base.policy import policy
+from photocal.block.model import Block
+from photocal.block.writer import write_block
 from photocal.findings.finding import Finding, Severity
-from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.image_file import BLACK, WHITE, as_eight_bit, read_grey
-from photocal.measurement.image_tracks import SAME, ImageTracks
+from photocal.measurement.match_images import SAME, ImageTracks
 from photocal.measurement.oriented_ties import Oriented
 from photocal.measurement.tie_adjustment import (
     AdjustedTies,
@@ -25,14 +31,35 @@ from photocal.measurement.tie_adjustment import (
 )
 from photocal.measurement.tie_block import GROSS
 
-# Share of a picture without detail, white or black, of which nothing can be seen; and its sharpness beside
-# that of the others when it is blurred.
-BURNT = 0.4
-BLURRED = 0.4
+# Of `measurement.json`.
+SCHEMA = "photocal.measurement/1"
+RECORD = "measurement.json"
+PIXEL_ORIGIN = "centre of the upper-left stored pixel is (0, 0); EXIF orientation is not applied"
+
+
+@dataclass(frozen=True)
+class MeasuredBlock:
+    """A block that was measured, and how.
+
+    Attributes
+    ----------
+    block
+        Cameras, images, points and observations.
+    record
+        Content of `measurement.json`: what was measured, left out and found doubtful.
+    """
+
+    block: Block
+    record: dict[str, Any]
+
+    def write(self, folder: Path) -> None:
+        """Write the block folder, and how it was measured beside it."""
+        write_block(folder, self.block)
+        write_json(folder / RECORD, self.record, 2)
+
+
 # Pictures that sharpness is compared with.
 OTHERS = 3
-# Of more marks that do not fit only the worst are named.
-MARKS_NAMED = 3
 
 
 def tie_record(tracked: ImageTracks, oriented: Oriented) -> dict[str, Any]:
@@ -118,11 +145,15 @@ def _appearance(grey: Bytes | None, sharp: Sequence[float]) -> list[str]:
     if grey is None:
         return []
     white, black = float(np.mean(grey >= WHITE)), float(np.mean(grey <= BLACK))
-    if white > BURNT:
+    # Share of a picture without detail, white or black, of which nothing can be seen.
+    burnt = 0.4
+    if white > burnt:
         return [f"over-exposed: {white:.0%} of it is white"]
-    if black > BURNT:
+    if black > burnt:
         return [f"under-exposed: {black:.0%} of it is black"]
-    if len(sharp) == OTHERS and _sharpness(grey) < BLURRED * float(np.median(sharp)):
+    # Sharpness beside that of the others when a picture is blurred.
+    blurred = 0.4
+    if len(sharp) == OTHERS and _sharpness(grey) < blurred * float(np.median(sharp)):
         return ["blurred"]
     return []
 
@@ -182,11 +213,13 @@ def _marks_off(suspects: Sequence[dict[str, Any]]) -> list[Finding]:
     """Each mark that is far off; of many the worst, with their number and those that come next."""
     places = [f"{suspect['point']} ({suspect['image']})" for suspect in suspects]
     findings = []
+    # Of more marks that do not fit only the worst are named.
+    marks_named = 3
     for suspect, name in zip(suspects, places, strict=True):
         figures = {"point": suspect["point"], "image": suspect["image"]}
         figures |= {"px": suspect["residual_px"], "sigmas": suspect["in_sigmas"]}
-        if len(suspects) > MARKS_NAMED:
-            figures |= {"n": float(len(suspects) - 1), "marks": tuple(places[1 : MARKS_NAMED + 1])}
+        if len(suspects) > marks_named:
+            figures |= {"n": float(len(suspects) - 1), "marks": tuple(places[1 : marks_named + 1])}
             return [Finding("mark-off", "doubtful", name, figures, ("marks-off",))]
         findings.append(Finding("mark-off", "doubtful", name, figures))
     return findings

@@ -99,15 +99,6 @@ class Prediction:
     slope: Floats
 
 
-@dataclass(frozen=True)
-class Ellipse:
-    """Error ellipse of 95 percent: semi-axes in px, direction of the first from columns to rows, radians."""
-
-    major: float
-    minor: float
-    direction: float
-
-
 def predict(orientation: Orientation, xyz: Floats, sigma: Floats) -> Prediction:
     """Predict where images show a point.
 
@@ -147,13 +138,17 @@ def predict(orientation: Orientation, xyz: Floats, sigma: Floats) -> Prediction:
     return Prediction(pixels, covariance, probability, moved)
 
 
-def ellipse(covariance: Floats) -> Ellipse | None:
-    """Give the error ellipse of a covariance, shape (2, 2); None where it is not known."""
+def ellipse(covariance: Floats) -> dict[str, float] | None:
+    """Give the error ellipse of 95 percent of a covariance, shape (2, 2); None where it is not known.
+
+    returns: semi-axes `major` and `minor` in px, and `direction` of the first from columns to rows, radians.
+    """
     if not np.isfinite(covariance).all():
         return None
     values, vectors = np.linalg.eigh(covariance)
     minor, major = np.sqrt(np.maximum(values, 0)) * WITHIN_95
-    return Ellipse(float(major), float(minor), float(np.arctan2(vectors[1, 1], vectors[0, 1])))
+    direction = np.arctan2(vectors[1, 1], vectors[0, 1])
+    return {"major": float(major), "minor": float(minor), "direction": float(direction)}
 
 
 def _spread(slope: Floats, sigma: Floats) -> Floats:

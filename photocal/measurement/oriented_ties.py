@@ -15,10 +15,16 @@ from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.control_fit import FittedControl, fit_control
-from photocal.measurement.patch_matching import HALF, Source, refine_reduced
-from photocal.measurement.start_block import without_images
+from photocal.measurement.patch_matching import HALF, ImageSource, refine_reduced
 from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties
-from photocal.measurement.tie_block import GROSS, intersected, marked_control, reprojection_errors, with_ties
+from photocal.measurement.tie_block import (
+    GROSS,
+    intersected,
+    marked_control,
+    reprojection_errors,
+    with_ties,
+    without_images,
+)
 from photocal.measurement.tie_orientation import oriented, position_sigmas, reweighted
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
 from photocal.results.adjusted import movements
@@ -169,7 +175,7 @@ def _controlled(block: Block) -> bool:
 
 def orient_ties(
     start: Block,
-    sources: Sequence[Source],
+    sources: Sequence[ImageSource],
     tracks: Tracks,
     pairs: Integers,
     processes: Workers,

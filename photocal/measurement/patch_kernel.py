@@ -11,14 +11,10 @@ from photocal.base.compiled import allocating, compiled, inlined
 
 Floats32 = NDArray[np.float32]
 
-_ITERATIONS = 20
-_SETTLED_PX = 0.01
 # Offset of the place and affinity of the surroundings.
 _UNKNOWNS = 6
 # A patch without contrast (length of its grey values) or with edges in one direction only has no place.
 _FLAT, _STRAIGHT = 1e-3, 1e-6
-# A step that shrinks the patch more than this has gone astray.
-_LEAST_AREA = 0.2
 
 
 class Patch(NamedTuple):
@@ -168,7 +164,9 @@ def _settle(
     x, y = state[0], state[1]
     result[0], result[1] = 0.0, 0.0
     settled = False
-    for _ in range(_ITERATIONS):
+    iterations = 20
+    settled_px = 0.01
+    for _ in range(iterations):
         power = _sampled(image, half, state, sample)
         if power < _FLAT * _FLAT:
             return
@@ -193,7 +191,7 @@ def _settle(
         moved = _composed(state, inverse, step)
         if moved < 0 or (state[0] - x) ** 2 + (state[1] - y) ** 2 > farthest**2:
             return
-        settled = moved < _SETTLED_PX**2
+        settled = moved < settled_px**2
 
 
 @compiled
@@ -237,7 +235,9 @@ def _composed(state: Floats, inverse: Floats, right: Floats) -> float:
     s, t = 1 + _solved(inverse, right, 2), _solved(inverse, right, 3)
     p, q = _solved(inverse, right, 4), 1 + _solved(inverse, right, 5)
     area = s * q - t * p
-    if not area > _LEAST_AREA:
+    # A step that shrinks the patch more than this has gone astray.
+    least_area = 0.2
+    if not area > least_area:
         return -1.0
     a, b, d, e = state[2], state[3], state[4], state[5]
     state[2], state[3] = (a * q - b * p) / area, (b * s - a * t) / area

@@ -27,19 +27,13 @@ VERSION = 2
 HALF = 11
 # Before matching, images are smoothed, over so many pixels: aliasing would bias the places.
 SMOOTHING_PX, _SMOOTHED_PX = 0.8, 7
-# A match must be as like as this, and settle as near to where it was expected.
-LIKENESS = 0.8
-FARTHEST_PX = 4.0
 # Views of a surface that differ by more than 65 degrees or a factor of two do not look alike. Strips with a
 # side overlap of a fifth see it from 60 degrees apart, by the usual lens of 74 degrees.
 _COS_APART, _ZOOM = 0.42, 2.0
-# A place is measured, not guessed, when its noise allows this sigma.
-_COARSEST_PX = 0.5
-_BORDER_PX = 2
 
 
 @dataclass(frozen=True)
-class Source:
+class ImageSource:
     """An image, the digest of its content, where results are kept, and how many times it is halved."""
 
     path: Path
@@ -77,7 +71,7 @@ class _Surface:
 
 
 def refine(
-    sources: Sequence[Source],
+    sources: Sequence[ImageSource],
     views: OrientedImages,
     tracks: Tracks,
     points: Floats,
@@ -94,7 +88,7 @@ def refine(
     for k, cut in enumerate(run_tasks(_cut_patches, tasks, processes, done)):
         patches[(surface.image == k) & inside] = cut
 
-    def jobs() -> Iterator[tuple[Source, _Rays, Floats32]]:
+    def jobs() -> Iterator[tuple[ImageSource, _Rays, Floats32]]:
         """Give the work of each image: its own rays and those of its partners."""
         # Image by image, while others are matched: all rays at once would need more memory than pictures do.
         for k, source in enumerate(sources):
@@ -109,7 +103,7 @@ def refine(
 
 
 def refine_reduced(
-    sources: Sequence[Source],
+    sources: Sequence[ImageSource],
     views: OrientedImages,
     tracks: Tracks,
     points: Floats,
@@ -196,11 +190,13 @@ def _expected(views: OrientedImages, number: int, track: Integers, surface: _Sur
 
 
 def _inside(place: Floats, size: Floats) -> Flags:
-    border = HALF + _BORDER_PX
+    # Pixels beyond the patch, for its interpolation.
+    border_px = 2
+    border = HALF + border_px
     return np.asarray(((place >= border) & (place <= size - 1 - border)).all(axis=1))
 
 
-def _smoothed(source: Source) -> Floats32:
+def _smoothed(source: ImageSource) -> Floats32:
     import cv2
 
     grey = as_eight_bit(read_grey(source.path))
@@ -211,7 +207,7 @@ def _smoothed(source: Source) -> Floats32:
     return np.asarray(cv2.sepFilter2D(reduced, cv2.CV_32F, weights, weights), dtype=np.float32)
 
 
-def _cut_patches(task: tuple[Source, Floats]) -> Floats32:
+def _cut_patches(task: tuple[ImageSource, Floats]) -> Floats32:
     source, middle = task
     side = np.arange(-HALF, HALF + 1)
     if not len(middle):
@@ -227,7 +223,7 @@ def _cut_patches(task: tuple[Source, Floats]) -> Floats32:
     return np.asarray(cached(source.cache, key, ("patches",), make)["patches"], dtype=np.float32)
 
 
-def _match_image(task: tuple[Source, _Rays, Floats32]) -> Tracks:
+def _match_image(task: tuple[ImageSource, _Rays, Floats32]) -> Tracks:
     """Rays that were matched, with their sigmas as scale."""
     source, rays, patches = task
     if not len(rays.track):
@@ -250,9 +246,15 @@ def _matched(image: Floats32, rays: _Rays, patches: Floats32) -> Arrays:
 
     count = len(rays.track)
     places, likeness, covariance = np.empty((count, 2)), np.empty(count), np.zeros((count, 2, 2))
-    match_patches(patches, image, rays.place, rays.affinity, FARTHEST_PX, places, likeness, covariance)
+    # A match must settle as near as this to where it was expected.
+    farthest_px = 4.0
+    match_patches(patches, image, rays.place, rays.affinity, farthest_px, places, likeness, covariance)
     sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
-    good = np.isfinite(places).all(axis=1) & (likeness >= LIKENESS) & (sigma < _COARSEST_PX)
+    # A match must be as like as this.
+    least_likeness = 0.8
+    # A place is measured, not guessed, when its noise allows this sigma.
+    coarsest_px = 0.5
+    good = np.isfinite(places).all(axis=1) & (likeness >= least_likeness) & (sigma < coarsest_px)
     return {"index": np.flatnonzero(good), "pixels": places[good], "sigma": sigma[good]}
 
 

@@ -23,13 +23,12 @@ from photocal.findings.texts import as_record
 from photocal.geometry.camera import Camera, among
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.realizations import FrameShift
-from photocal.measurement.block_files import MeasuredBlock
 from photocal.measurement.control_review import stray_points
-from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, read_facts
+from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, motion_while_read, read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.measurement.image_pairs import Footprints, exposed_footprints, stated_footprints
-from photocal.measurement.image_tracks import ImageTracks, track_images
 from photocal.measurement.maker_camera import NO_LENS, GivenLens, group_cameras, stated_camera
+from photocal.measurement.mark_frames import settle_marks
 from photocal.measurement.marks import (
     ControlMarks,
     in_map_system,
@@ -39,8 +38,9 @@ from photocal.measurement.marks import (
     read_marks,
     with_marks,
 )
-from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.match_images import ImageTracks, MatchingPlan, track_images
 from photocal.measurement.measurement_record import (
+    MeasuredBlock,
     findings_of_marks,
     position_figures,
     suspected_marks,
@@ -48,16 +48,21 @@ from photocal.measurement.measurement_record import (
 )
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import orient_ties
-from photocal.measurement.patch_matching import Source
+from photocal.measurement.patch_matching import ImageSource
 from photocal.measurement.picture_tests import judge_cameras
 from photocal.measurement.plain_targets import FoundTargets, targets_of_project
-from photocal.measurement.position_files import Given, local_places, map_places, read_positions
-from photocal.measurement.position_frame import frames_of, in_project, moved_finding, shift_of_positions
-from photocal.measurement.recorded_turns import motion_while_read
+from photocal.measurement.position_files import (
+    Given,
+    frames_of,
+    in_project,
+    local_places,
+    map_places,
+    moved_finding,
+    read_positions,
+    shift_of_positions,
+)
 from photocal.measurement.release import HELD, HOLDING, with_released_cameras
-from photocal.measurement.settled_marks import settle_marks
-from photocal.measurement.start_block import POSITION_SIGMA_M, start_block
-from photocal.measurement.tie_block import marked_control
+from photocal.measurement.tie_block import POSITION_SIGMA_M, marked_control, start_block
 from photocal.measurement.tie_orientation import pictures_turned
 from photocal.measurement.tracks import Tracks
 from photocal.project import Project
@@ -366,7 +371,7 @@ def _start(
 
 def _targets(
     known: KnownPictures,
-    sources: Sequence[Source],
+    sources: Sequence[ImageSource],
     points: ObjectPoints,
     plan: MatchingPlan,
     progress: Progress,

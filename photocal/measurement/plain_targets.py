@@ -19,7 +19,7 @@ from photocal.measurement.features import Arrays, array_key, cached, combined_ke
 from photocal.measurement.image_file import read_grey
 from photocal.measurement.markers import COMMON_PX, find_coded_targets
 from photocal.measurement.orientation import Orientation, predict
-from photocal.measurement.patch_matching import Source
+from photocal.measurement.patch_matching import ImageSource
 from photocal.measurement.target_centre import PARTS, SMALLEST_PX, TargetImage, ground_bend, measurable
 from photocal.measurement.target_search import find_targets
 from photocal.project import PlainTargets, Project
@@ -56,7 +56,7 @@ class PlainMarks:
 
 
 def find_plain_targets(
-    sources: Sequence[Source],
+    sources: Sequence[ImageSource],
     orientation: Orientation,
     points: ObjectPoints,
     wanted: Sequence[PlainTargets],
@@ -145,7 +145,7 @@ def identified(expected: Sequence[PredictedTarget], targets: Floats) -> tuple[li
     return marks, doubts
 
 
-def _find(task: tuple[Source, tuple[PredictedTarget, ...]]) -> Floats:
+def _find(task: tuple[ImageSource, tuple[PredictedTarget, ...]]) -> Floats:
     source, expected = task
     if not expected:
         return np.empty((0, 5))
@@ -199,7 +199,7 @@ class FoundTargets:
 
 def targets_of_project(
     project: Project,
-    sources: Sequence[Source],
+    sources: Sequence[ImageSource],
     exposures: Orientation | None,
     control: ObjectPoints,
     workers: Workers,

@@ -12,13 +12,10 @@ from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import Grey, list_images, read_grey
-from photocal.measurement.radiometry_options import RadiometryOptions
+from photocal.measurement.options import RadiometryOptions
 
-# Bins of an edge for each pixel, and least and largest slant of it (ISO 12233 takes 5 degrees).
-OVERSAMPLING = 4
+# Least and largest slant of an edge (ISO 12233 takes 5 degrees).
 SLANT_DEG = (1.0, 40.0)
-# Contrast that counts as resolved, of that of large parts.
-RESOLVED = 0.10
 
 
 def measure_radiometry(options: RadiometryOptions) -> dict[str, float]:
@@ -42,6 +39,8 @@ def measure_radiometry(options: RadiometryOptions) -> dict[str, float]:
         When a picture does not show what it should.
     """
     figures: dict[str, float] = {}
+    # Contrast that counts as resolved, of that of large parts.
+    resolved = 0.10
     if options.edge is not None:
         grey = read_grey(options.edge)
         if options.region is not None:
@@ -50,12 +49,12 @@ def measure_radiometry(options: RadiometryOptions) -> dict[str, float]:
             grey = grey[row : row + height, column : column + width]
         frequency, transfer, figures["edge_slant_deg"] = edge_mtf(grey)
         figures["mtf50_cycles_px"] = falls_to(frequency, transfer, 0.5)
-        figures["mtf10_cycles_px"] = falls_to(frequency, transfer, RESOLVED)
+        figures["mtf10_cycles_px"] = falls_to(frequency, transfer, resolved)
         figures["mtf_at_nyquist"] = float(np.interp(0.5, frequency, transfer))
     if options.star is not None and options.place is not None:
         across, down, radius = numbers_of(options.place, "--place", "COLUMN,ROW,RADIUS: px")
         frequency, contrast = siemens_star(read_grey(options.star), (across, down), radius, options.spokes)
-        limit = figures["star_limit_cycles_px"] = falls_to(frequency, contrast, RESOLVED)
+        limit = figures["star_limit_cycles_px"] = falls_to(frequency, contrast, resolved)
         if options.gsd_cm is not None:
             figures["ground_resolution_cm"] = options.gsd_cm / limit
     if options.flat is not None:
@@ -92,17 +91,19 @@ def edge_mtf(grey: Grey | Floats) -> tuple[Floats, Floats, float]:
             remedy="cut out one straight edge, slanted by about 5 degrees, away from its ends",
         )
     across = (at - np.polyval(line, row)[:, None]) * np.cos(np.arctan(line[0]))
-    reach = int(OVERSAMPLING * np.floor(min(across.max(), -across.min()) - 1))
-    index = np.round(across * OVERSAMPLING).astype(int)
+    # Bins of an edge for each pixel.
+    oversampling = 4
+    reach = int(oversampling * np.floor(min(across.max(), -across.min()) - 1))
+    index = np.round(across * oversampling).astype(int)
     used = np.abs(index) <= reach
     count = np.bincount(index[used] + reach, minlength=2 * reach + 1)
     spread = np.bincount(index[used] + reach, values[used], 2 * reach + 1) / np.maximum(count, 1)
     spread = np.interp(np.arange(len(spread)), np.flatnonzero(count), spread[count > 0])
     line_spread = np.gradient(spread)[1:-1] * np.hamming(len(spread) - 2)
     spectrum = np.abs(np.fft.rfft(line_spread))
-    frequency: Floats = np.fft.rfftfreq(len(line_spread), 1.0 / OVERSAMPLING).astype(np.float64)
+    frequency: Floats = np.fft.rfftfreq(len(line_spread), 1.0 / oversampling).astype(np.float64)
     # The difference over two bins and the width of a bin are filters of the method, not of the camera.
-    response = np.sinc(2.0 * frequency / OVERSAMPLING) * np.sinc(frequency / OVERSAMPLING)
+    response = np.sinc(2.0 * frequency / oversampling) * np.sinc(frequency / oversampling)
     low = frequency <= 1.0
     return np.asarray(frequency[low]), np.asarray(spectrum[low] / spectrum[0] / response[low]), slant
 

@@ -18,17 +18,15 @@ from photocal.block.network import assemble
 from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.resection import resection
 from photocal.geometry.rotation import angles_from_matrix
-from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA, MeasuredBlock
-from photocal.measurement.boards import Board, find_board
 from photocal.measurement.features import Arrays, cached, combined_key
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture, read_grey
 from photocal.measurement.maker_camera import GivenLens, group_cameras, principal_distance_px, start_camera
-from photocal.measurement.markers import COMMON_PX, VERSION, dictionary, find_markers
+from photocal.measurement.markers import COMMON_PX, VERSION, Board, dictionary, find_board, find_markers
+from photocal.measurement.measurement_record import PIXEL_ORIGIN, SCHEMA, MeasuredBlock
 
 ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1")
-# Of fewer pictures of a board, or of fewer pictures or targets of a field, no camera is calibrated.
-FEWEST_VIEWS = 3
+# Of fewer pictures or targets of a field no camera is calibrated.
 FEWEST_PICTURES, FEWEST_TARGETS = 4, 8
 
 
@@ -69,10 +67,12 @@ def measure_board(paths: Sequence[Path], board: Board, name: str, progress: Prog
     with progress("measuring the board", len(paths)) as done:
         views, left_out = each_picture(paths, measure, done)
     across, down = board.inner
-    if len(views) < FEWEST_VIEWS:
+    # Of fewer pictures of a board no camera is calibrated.
+    fewest_views = 3
+    if len(views) < fewest_views:
         raise InputNotFoundError(
             f"{len(views)} of {len(paths)} images show a board of {board.columns} x {board.rows} squares "
-            f"({across} x {down} inner corners), {FEWEST_VIEWS} are needed",
+            f"({across} x {down} inner corners), {fewest_views} are needed",
             "count the squares, not the corners, and see that the whole board is visible",
             where=paths[0].parent,
         )

@@ -8,17 +8,14 @@ import numpy as np
 
 from photocal.base.arrays import Flags
 from photocal.base.errors import ConfigurationError, OutputError
-from photocal.measurement.boards import Board, charuco_board
-from photocal.measurement.markers import DICTIONARIES, dictionary
-from photocal.measurement.target_patterns import BAR, HOLE
+from photocal.measurement.markers import DICTIONARIES, Board, charuco_board, dictionary
+from photocal.measurement.target_centre import BAR, HOLE
 
 Cells = Flags
 Place = tuple[float, float]
 
 # Uncoded targets.
 PLAIN = ("disc", "ring", "cross", "hourglass")
-# White space around a target, as a part of its size.
-MARGIN = 0.15
 PAPERS_MM = {
     "a4": (210.0, 297.0),
     "a3": (297.0, 420.0),
@@ -28,7 +25,6 @@ PAPERS_MM = {
 }
 # What printers leave white, and the strip at the foot with the bar and the words.
 EDGE_MM, FOOT_MM = 6.0, 22.0
-BAR_MM = 100.0
 # The sheets do not depend on the day.
 _DATE = dt.datetime(2000, 1, 1, tzinfo=dt.UTC)
 
@@ -84,7 +80,9 @@ def plain_target(kind: str, size_mm: float) -> Sheet:
             f"target {kind!r} is not known",
             f"use {', '.join((*PLAIN, 'chessboard', 'charuco'))}, or {', '.join(DICTIONARIES)}",
         )
-    return Sheet(f"{kind} {size_mm:g} mm", drawn[kind], (size_mm, size_mm), MARGIN * size_mm)
+    # White space around a target, as a part of its size.
+    margin = 0.15
+    return Sheet(f"{kind} {size_mm:g} mm", drawn[kind], (size_mm, size_mm), margin * size_mm)
 
 
 def coded_target(dictionary_name: str, number: int, size_mm: float) -> Sheet:
@@ -180,11 +178,13 @@ def _page(sheet: Sheet, paper: str) -> str:
     middle = (width / 2, (height - FOOT_MM) / 2)
     foot = height - FOOT_MM
     parts = [f"#set page(width: {width}mm, height: {height}mm)", *(_drawn(s, middle) for s in sheet.shapes)]
-    for k in range(int(BAR_MM // 10) + 1):
+    # The bar that tells whether the print has its scale.
+    bar_mm = 100.0
+    for k in range(int(bar_mm // 10) + 1):
         long = k % 5 == 0
         parts.append(_line((EDGE_MM + 10 * k, foot + 6 - (4 if long else 2)), (EDGE_MM + 10 * k, foot + 6)))
-    parts.append(_line((EDGE_MM, foot + 6), (EDGE_MM + BAR_MM, foot + 6)))
-    parts.append(_words(foot + 7.5, f"{BAR_MM:g} mm: print at 100 % and measure this bar"))
+    parts.append(_line((EDGE_MM, foot + 6), (EDGE_MM + bar_mm, foot + 6)))
+    parts.append(_words(foot + 7.5, f"{bar_mm:g} mm: print at 100 % and measure this bar"))
     parts.append(_words(foot + 12, f"photocal: {sheet.title}"))
     return "\n".join(parts)
 

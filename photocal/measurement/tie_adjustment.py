@@ -18,8 +18,15 @@ from photocal.block.network import NetworkOfBlock, assemble
 from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
-from photocal.measurement.start_block import without_images, without_single_rays
-from photocal.measurement.tie_block import GROSS, fitting, place, ray_sigmas, with_ties
+from photocal.measurement.tie_block import (
+    GROSS,
+    fitting,
+    place,
+    ray_sigmas,
+    with_ties,
+    without_images,
+    without_single_rays,
+)
 from photocal.measurement.tracks import Tracks, of_images
 from photocal.results.adjusted import given_exposures, given_points
 

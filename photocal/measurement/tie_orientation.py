@@ -23,8 +23,7 @@ from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import Similarity, aligned_similarity, misses_of, robust_similarity
-from photocal.measurement.start_block import POSITION_SIGMA_M
-from photocal.measurement.tie_block import views_of, with_ties
+from photocal.measurement.tie_block import POSITION_SIGMA_M, views_of, with_ties
 from photocal.measurement.tracks import Tracks
 
 # The principal distance that was given is kept where the rays fit it so well, and meet in threes so often,

@@ -21,8 +21,6 @@ from photocal.planning.frame import (
     scale_denominator,
 )
 
-# More than any aircraft can fly in one mission: a mistaken unit, not a plan.
-_MOST_EXPOSURES = 50_000
 # Control points and check points, east and north in the plane of the flight, m.
 Layout = tuple[Floats, Floats]
 # Side of the grid of candidate places as a share of the root of the area.
@@ -72,9 +70,11 @@ def plan_strips(
     length, width = (np.ptp(rotated, axis=0) + np.array([0.0, 2.0 * border_m])).tolist()
     run_out_m += border_m
     count = max(1, math.ceil(width / spacing_m - 1e-9)) + 1
-    if count * ((length + 2.0 * run_out_m) / base_m + 2.0) > _MOST_EXPOSURES:
+    # More than any aircraft can fly in one mission: a mistaken unit, not a plan.
+    most_exposures = 50_000
+    if count * ((length + 2.0 * run_out_m) / base_m + 2.0) > most_exposures:
         raise ConfigurationError(
-            f"the plan would need more than {_MOST_EXPOSURES} exposures",
+            f"the plan would need more than {most_exposures} exposures",
             remedy="look at height, overlap and area",
         )
     lines = np.linspace(rotated[:, 1].min() - border_m, rotated[:, 1].max() + border_m, count)

@@ -23,8 +23,6 @@ _IMAGES = Layer(
 )
 _RAYS = Layer("rays", "POLYGON", has_heights=False, columns={"images": "INTEGER"})
 _GAPS = Layer("gaps", "POINT", has_heights=False, columns={"area_m2": "DOUBLE"})
-# Cells of the map, as many of the raster on a side.
-_MERGED = 3
 # Unit, factor and decimals of the figures that are shown, in their order.
 _SHOWN: dict[str, tuple[str, float, int]] = {
     "height_m": ("m", 1.0, 1), "gsd_m": ("cm", 100.0, 2), "tilt_deg": ("°", 1.0, 1),
@@ -130,7 +128,9 @@ def write_flown(
 
 def _cells(block: FlownBlock, to_given: Callable[[Floats], Floats]) -> list[Feature]:
     """Squares of the map below the flight with the least number of images in each."""
-    ground, k = block.ground, _MERGED
+    # Cells of the map, as many of the raster on a side.
+    merged_cells = 3
+    ground, k = block.ground, merged_cells
     rows = len(ground.places) // ground.columns // k
     columns = ground.columns // k
     shape = (rows * k, columns * k)

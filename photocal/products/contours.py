@@ -22,7 +22,6 @@ from photocal.products.terrain import HEIGHT_KINDS, Terrain, grid_of_points, rea
 
 # By the ending of the file: the driver of GDAL.
 DRIVERS = {".gpkg": "GPKG", ".shp": "ESRI Shapefile", ".dxf": "DXF"}
-_MOST_LEVELS = 10_000
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,9 @@ def contour_lines(terrain: Terrain, interval: float) -> list[Contour]:
     """
     low, high = float(np.nanmin(terrain.heights)), float(np.nanmax(terrain.heights))
     first, last = math.ceil(low / interval), math.floor(high / interval)
-    if last - first >= _MOST_LEVELS:
+    # More lines are a mistaken interval.
+    most_levels = 10_000
+    if last - first >= most_levels:
         raise ConfigurationError(f"{interval:g} m make {last - first} levels", "choose a larger interval")
     generator = contourpy.contour_generator(
         z=np.ma.masked_invalid(terrain.heights), line_type=contourpy.LineType.Separate, corner_mask=True

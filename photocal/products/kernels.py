@@ -11,8 +11,6 @@ from photocal.geometry.lens import LINE, Scratch, kernel_scratch, recorded
 from photocal.geometry.shutter import shaken
 
 NEAREST, BILINEAR, CUBIC = 0, 1, 2
-# From a line to the pose and back: each time a hundredth of the change is left, or less.
-LINES = 4
 
 
 class LensTables(NamedTuple):
@@ -56,7 +54,9 @@ def move(
     a = rotation[m, 0, 0] * x + rotation[m, 0, 1] * y + rotation[m, 0, 2] * z
     b = rotation[m, 1, 0] * x + rotation[m, 1, 1] * y + rotation[m, 1, 2] * z
     c = rotation[m, 2, 0] * x + rotation[m, 2, 1] * y + rotation[m, 2, 2] * z
-    for _ in range(LINES):
+    # From a line to the pose and back: each time a hundredth of the change is left, or less.
+    lines = 4
+    for _ in range(lines):
         s = optics[k, LINE] * place[0] + optics[k, LINE + 1] * place[1]
         s = min(max(s, -1.0), 1.0)
         p, q, r = u - s * a, v - s * b, w - s * c

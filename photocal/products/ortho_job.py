@@ -22,7 +22,6 @@ from photocal.products.raster import RasterFile, describe, geotiff, read_image, 
 from photocal.products.terrain import Bounds, Grid, Terrain, TerrainSource
 
 METHODS = {"nearest": NEAREST, "bilinear": BILINEAR, "cubic": CUBIC}
-_CLOSE_M = 1e-5
 
 
 def image_files(block: Block, folder: Path, wanted: tuple[str, ...]) -> dict[int, RasterFile]:
@@ -242,16 +241,18 @@ def terrain_points(
     with np.errstate(divide="ignore", invalid="ignore"):
         along = np.where(rays[:, 2] < 0, -above / rays[:, 2], np.nan)
     passes = 100
+    # A hundredth of a millimetre: nothing is left to correct.
+    close_m = 1e-5
     for _ in range(passes):
         given = frame.to_given(station + along[:, None] * rays)
         gap = given[:, 2] - terrain.at(given[:, 0], given[:, 1])
         step = -gap / rays[:, 2]
         along = along + step
-        if not np.any(np.abs(step) > _CLOSE_M):
+        if not np.any(np.abs(step) > close_m):
             break
     given = frame.to_given(station + along[:, None] * rays)
     gap = given[:, 2] - terrain.at(given[:, 0], given[:, 1])
-    given[~(np.abs(gap) < 100 * _CLOSE_M)] = np.nan
+    given[~(np.abs(gap) < 100 * close_m)] = np.nan
     return given
 
 

@@ -16,9 +16,6 @@ from photocal.block.table import read_table
 from photocal.products.options import ProductOptions
 from photocal.products.raster import RasterFile, describe, opened, terrain_source
 
-# Share of the pattern of a round target that must be found again, 0 to 1.
-_LIKENESS = 0.6
-
 
 @dataclass(frozen=True)
 class ProductCheck:
@@ -151,7 +148,9 @@ def find_target(raster: RasterFile, place: Floats, diameter: float, search: floa
     likeness[~np.isfinite(likeness) | (likeness > 1.0001)] = 0
     v, u = np.unravel_index(int(np.argmax(likeness)), likeness.shape)
     best = float(likeness[v, u])
-    if best < _LIKENESS:
+    # Share of the pattern of a round target that must be found again, 0 to 1.
+    least_likeness = 0.6
+    if best < least_likeness:
         return np.array([np.nan, np.nan, best])
     x, y = _gravity(grey[v : v + len(template), u : u + len(template)], radius)
     east = raster.transform[2] + (j - half + int(u) + x + 0.5) * cell

@@ -19,8 +19,6 @@ from photocal.base.files import output_file
 from photocal.products.terrain import HEIGHT_KINDS, Bounds, Terrain, Transform, bounds_of
 
 HEIGHT_TAG = "HEIGHT_KIND"
-TILE = 256
-_STRIP = 512
 
 
 @dataclass(frozen=True)
@@ -152,6 +150,8 @@ def terrain_source(raster: RasterFile, height_kind: str) -> Callable[[Bounds], T
 
 def read_image(path: Path) -> NDArray[Any]:
     """Read a photo whole."""
+    # Lines that are read at a time.
+    strip = 512
     with opened(path) as source:
         if str(source.dtypes[0]) not in ("uint8", "uint16", "float32"):
             raise InputMalformedError(
@@ -159,8 +159,8 @@ def read_image(path: Path) -> NDArray[Any]:
             )
         pixels = np.empty((source.height, source.width, source.count), dtype=source.dtypes[0])
         # By strips: the bands of a whole image beside the image would double its memory.
-        for first in range(0, source.height, _STRIP):
-            count = min(_STRIP, source.height - first)
+        for first in range(0, source.height, strip):
+            count = min(strip, source.height - first)
             window = rasterio.windows.Window(0, first, source.width, count)
             pixels[first : first + count] = np.moveaxis(source.read(window=window), 0, 2)
     return pixels
@@ -208,6 +208,8 @@ def geotiff(
     """
     columns, rows = size
     floating = dtype.startswith("float")
+    # Sides of the blocks that it is stored in, px.
+    tile = 256
     options = {
         "driver": "GTiff",
         "width": columns,
@@ -218,8 +220,8 @@ def geotiff(
         "crs": crs or None,
         "nodata": nodata,
         "tiled": True,
-        "blockxsize": TILE,
-        "blockysize": TILE,
+        "blockxsize": tile,
+        "blockysize": tile,
         "compress": "deflate",
         "predictor": 3 if floating else 2,
         "BIGTIFF": "IF_SAFER",
@@ -241,7 +243,7 @@ def geotiff(
 
                     yield write
                 # Halved until everything fits into one tile.
-                halvings = math.ceil(math.log2(max(columns, rows) / TILE))
+                halvings = math.ceil(math.log2(max(columns, rows) / tile))
                 if factors := [2**n for n in range(1, halvings + 1)]:
                     with rasterio.open(aside, "r+") as target:
                         target.build_overviews(factors, rasterio.enums.Resampling.average)

@@ -21,12 +21,10 @@ SIGMAS = ("sX", "sY", "sZ")
 CORRELATIONS = ("rXY", "rXZ", "rYZ")
 SCHEMA = "photocal.volume/1"
 _INK, _RULE = "#1a1a1a", "#8a8f94"
-# The largest residual is drawn as this share of the radius.
-_LARGEST = 0.25
 
 
 @dataclass(frozen=True)
-class Volume:
+class PropagatedVolume:
     """A volume and what its uncertainty is made of.
 
     radius_variance, height_variance: shares of the variance that come from the radii and from the heights,
@@ -49,7 +47,9 @@ class Volume:
         return 100 * self.sigma / self.value
 
 
-def cylinder_volume(radius: float, radius_sigma: float, height: float, height_sigma: float) -> Volume:
+def cylinder_volume(
+    radius: float, radius_sigma: float, height: float, height_sigma: float
+) -> PropagatedVolume:
     """Volume of an upright cylinder from its mean radius and its height.
 
     radius, radius_sigma, height, height_sigma: m; radius and height uncorrelated.
@@ -65,10 +65,10 @@ def cylinder_volume(radius: float, radius_sigma: float, height: float, height_si
             )
     by_radius = (2 * np.pi * radius * height * radius_sigma) ** 2
     by_height = (np.pi * radius**2 * height_sigma) ** 2
-    return Volume(np.pi * radius**2 * height, by_radius, by_height, by_radius + by_height)
+    return PropagatedVolume(np.pi * radius**2 * height, by_radius, by_height, by_radius + by_height)
 
 
-def volume_between_sections(radius: Floats, height: Floats, covariance: Floats) -> Volume:
+def volume_between_sections(radius: Floats, height: Floats, covariance: Floats) -> PropagatedVolume:
     """Volume from the lowest to the highest section by the end areas."""
     area, step = np.pi * radius**2, np.diff(height)
     around = np.concatenate([[0.0], step, [0.0]])
@@ -76,7 +76,7 @@ def volume_between_sections(radius: Floats, height: Floats, covariance: Floats) 
     means = (area[:-1] + area[1:]) / 2
     by_height = np.concatenate([[0.0], means]) - np.concatenate([means, [0.0]])
     gradient = np.column_stack([by_radius, by_height])
-    return Volume(
+    return PropagatedVolume(
         float(means @ step),
         float(by_radius**2 @ covariance[:, 0, 0]),
         float(by_height**2 @ covariance[:, 1, 1]),
@@ -129,7 +129,7 @@ class Tank:
     tilt_sigma: float
     radius: float
     radius_sigma: float
-    between: Volume | None
+    between: PropagatedVolume | None
 
 
 def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> RingPoints:
@@ -246,7 +246,7 @@ def _tilt(cylinder: Cylinder) -> tuple[float, float]:
     return float(np.arctan2(length, cylinder.axis[2])), float(np.sqrt(variance))
 
 
-def volume_json(volume: Volume) -> dict[str, float]:
+def volume_json(volume: PropagatedVolume) -> dict[str, float]:
     """Give a volume as plain values."""
     return {
         "volume_m3": volume.value,
@@ -304,7 +304,7 @@ def _section_json(ring: TankRing, axes: tuple[str, str, str]) -> dict[str, Any]:
     }
 
 
-def volume_text(volume: Volume) -> str:
+def volume_text(volume: PropagatedVolume) -> str:
     """Give a volume in one line."""
     return (
         f"V = {volume.value:.3f} m3, variance {volume.variance:.4f} m6 "
@@ -358,11 +358,13 @@ def draw_rings(tank: Tank, axes: tuple[str, str, str], path: Path) -> None:
     columns = min(3, len(tank.sections))
     rows = -(-len(tank.sections) // columns)
     largest = max(float(np.abs(ring.circle.radial).max()) for ring in tank.sections)
+    # The largest residual is drawn as this share of the radius.
+    largest_drawn = 0.25
     with output_picture(path, (2.6 * columns, 2.9 * rows)) as figure:
         for number, ring in enumerate(tank.sections):
             ax = figure.add_subplot(rows, columns, number + 1)
             circle = ring.circle
-            enlarged = _LARGEST * circle.radius / largest if largest > 0 else 1.0
+            enlarged = largest_drawn * circle.radius / largest if largest > 0 else 1.0
             turn = circle.direction
             drawn = circle.radius + enlarged * circle.radial
             around = np.linspace(0, 2 * np.pi, 361)

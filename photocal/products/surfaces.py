@@ -11,10 +11,6 @@ from photocal.base.errors import IllPosedError, InputMalformedError, NotConverge
 # Value of each point's condition (n,), its derivatives to the parameters (n, u) and to the point (n, d).
 Condition = Callable[[Floats, Floats], tuple[Floats, Floats, Floats]]
 
-ITERATIONS = 100
-# A step is over when it is this small against the standard deviation of what it moves.
-NEGLIGIBLE = 1e-7
-
 
 @dataclass(frozen=True)
 class AdjustedSurface:
@@ -54,7 +50,10 @@ def fit(
     """
     residuals = np.zeros_like(points)
     state = start
-    for iteration in range(1, ITERATIONS + 1):
+    iterations = 100
+    # A step is over when it is this small against the standard deviation of what it moves.
+    negligible = 1e-7
+    for iteration in range(1, iterations + 1):
         value, by_parameter, by_point = condition(state, points + residuals)
         count, unknowns = by_parameter.shape
         if count < unknowns:
@@ -72,16 +71,16 @@ def fit(
         correlate = -(misclosure + by_parameter @ step) / variance
         across = np.einsum("nij,nj->ni", covariance, by_point)
         before, residuals = residuals, across * correlate[:, None]
-        settled = np.abs(step) <= NEGLIGIBLE * np.sqrt(np.diag(cofactor))
+        settled = np.abs(step) <= negligible * np.sqrt(np.diag(cofactor))
         moved_points = np.abs(np.einsum("ni,ni->n", by_point, residuals - before))
-        if settled.all() and (moved_points <= 10 * NEGLIGIBLE * np.sqrt(variance)).all():
+        if settled.all() and (moved_points <= 10 * negligible * np.sqrt(variance)).all():
             influence = -np.einsum("uv,nv,ni->uni", cofactor, by_parameter / variance[:, None], by_point)
             chi_squared = float(correlate**2 @ variance)
             return AdjustedSurface(
                 state, cofactor, residuals, influence, chi_squared, count - unknowns, iteration
             )
     raise NotConvergedError(
-        f"the fit of the {what} did not end within {ITERATIONS} iterations",
+        f"the fit of the {what} did not end within {iterations} iterations",
         "are the points on such a surface, and their sigmas in metres?",
     )
 

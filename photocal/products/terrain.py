@@ -20,7 +20,6 @@ Heights = NDArray[np.floating]
 Bounds = tuple[float, float, float, float]
 
 HEIGHT_KINDS = ("ellipsoidal", "orthometric", "local")
-_STRIP = 64
 
 
 @dataclass(frozen=True)
@@ -201,8 +200,10 @@ def grid_of_points(
     interpolate = LinearNDInterpolator(network, xyz[:, 2])
     heights = np.full((int(rows), int(columns)), np.nan)
     x = (np.arange(columns) + 0.5) * cell
-    for first in range(0, int(rows), _STRIP):
-        last = min(first + _STRIP, int(rows))
+    # Lines that are made at a time.
+    strip = 64
+    for first in range(0, int(rows), strip):
+        last = min(first + strip, int(rows))
         y = (rows - np.arange(first, last) - 0.5) * cell
         heights[first:last] = interpolate(*np.meshgrid(x, y))
     corners = line[network.simplices]

@@ -1,14 +1,177 @@
-"""The step `volume`: of a tank, by sections of its shell or by its mean radius and height."""
+"""The step `volume`: of a tank, by sections of its shell or by its mean radius and height.
+
+Partial volumes between neighbouring sections of a tank, and its filling table, with sigmas.
+
+Volumes between sections of any closed shape, by quadrature: areas of outlines, and over the heights.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from photocal.base.errors import ConfigurationError
+import numpy as np
+from scipy.interpolate import CubicSpline, make_interp_spline
+
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.products import sections as tanks
-from photocal.products.closed_sections import measure_closed
-from photocal.products.filling import Filled, filling_table, partial_volumes
 from photocal.products.options import VolumeOptions
+from photocal.products.sections import RingPoints, Tank, volume_between_sections
+
+Shape = Literal["curve", "polygon"]
+_ROW = (
+    "{section:<8} {points:>6} {height_m:>10.3f} {height_sigma_m:>8.4f} {area_m2:>12.4f} {area_sigma_m2:>8.4f}"
+)
+
+
+def outline_form(points: Floats, shape: Shape) -> Floats:
+    """Give G (n, n) with which a closed outline through points (n, 2) encloses the area x' G y.
+
+    By Green's theorem over straight sides, or over the periodic cubic spline on the lengths of the chords.
+    """
+    n = len(points)
+    following = np.roll(np.eye(n), 1, axis=1)
+    if shape == "polygon":
+        return np.asarray((following - following.T) / 2.0)
+    chords = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+    along = np.concatenate([[0.0], np.cumsum(chords)])
+    basis = CubicSpline(along, np.vstack([np.eye(n), np.eye(n)[:1]]), bc_type="periodic")
+    # Gauss-Legendre nodes that integrate the products of cubics and their slopes exactly.
+    nodes = 3
+    node, weight = np.polynomial.legendre.leggauss(nodes)
+    at = (along[:-1, None] + chords[:, None] * (node + 1.0) / 2.0).ravel()
+    weights = (chords[:, None] * weight / 2.0).ravel()
+    value, slope = basis(at), basis(at, 1)
+    form = np.einsum("q,qi,qj->ij", weights, value, slope)
+    return np.asarray((form - form.T) / 2.0)
+
+
+def outline(points: RingPoints, name: str, shape: Shape) -> dict[str, Any]:
+    """Measure a section whose points stand in their order around it; raises IllPosedError for too few."""
+    rows = np.array([section == name for section in points.section])
+    values, covariance = points.values[rows], points.covariance[rows]
+    count, least = len(values), 3 if shape == "polygon" else 4
+    if count < least:
+        raise IllPosedError(
+            f"{count} points are no outline", f"measure {least} or more", where=f"section {name}"
+        )
+    # About the middle, so that large coordinates keep their digits.
+    plane = values[:, :2] - values[:, :2].mean(axis=0)
+    form = outline_form(plane, shape)
+    gradient = np.column_stack([form @ plane[:, 1], form.T @ plane[:, 0]])
+    variance = np.einsum("ni,nij,nj->", gradient, covariance[:, :2, :2], gradient)
+    return {
+        "section": name,
+        "points": count,
+        "height_m": float(values[:, 2].mean()),
+        "height_sigma_m": float(np.sqrt(covariance[:, 2, 2].sum()) / count),
+        "area_m2": abs(float(plane[:, 0] @ form @ plane[:, 1])),
+        "area_sigma_m2": float(np.sqrt(variance)),
+    }
+
+
+def measure_closed(points: RingPoints, shape: Shape) -> tuple[dict[str, Any], str]:
+    """Give the areas of all sections and the volume between them as plain values, and as text.
+
+    Areas are integrated over heights by the spline of third degree, or the highest that the sections bear.
+    raises IllPosedError: for a single section, or two of one height.
+    """
+    outlines = (outline(points, name, shape) for name in dict.fromkeys(points.section))
+    sections = sorted(outlines, key=lambda section: float(section["height_m"]))
+    of = {key: np.array([section[key] for section in sections]) for key in sections[0]}
+    height, area = of["height_m"], of["area_m2"]
+    if len(sections) < 2 or (np.diff(height) <= 0).any():
+        raise IllPosedError(
+            "a volume needs sections of different mean heights", "is the vertical axis right?"
+        )
+
+    def volume(at: Floats, areas: Floats) -> float:
+        """Integral of a spline through the areas of the sections, cubic where there are enough."""
+        spline: Any = make_interp_spline(at, areas, k=min(3, len(at) - 1))
+        return float(spline.integrate(at[0], at[-1]))
+
+    step, units = 1e-4 * float(np.diff(height).min()), np.eye(len(height))
+    by_area = np.array([volume(height, unit) for unit in units])
+    either = [[volume(height + side * step * unit, area) for side in (-1, 1)] for unit in units]
+    by_height = np.diff(either)[:, 0] / (2.0 * step)
+    parts = np.concatenate([by_area * of["area_sigma_m2"], by_height * of["height_sigma_m"]])
+    value, sigma = volume(height, area), float(np.linalg.norm(parts))
+    between = {"volume_m3": value, "sigma_m3": sigma, "sigma_percent": 100.0 * sigma / value}
+    lines = [
+        "section  points   height m       sd      area m2       sd",
+        *(_ROW.format(**section) for section in sections),
+        "between the lowest and the highest section, by quadrature: V = {volume_m3:.3f} m3, standard "
+        "deviation {sigma_m3:.4f} m3 = {sigma_percent:.4f} %".format(**between),
+    ]
+    return {"shape": shape, "sections": sections, "between_sections": between}, "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Filled:
+    """Volume between two levels, m above the lowest section, with its standard deviation, m3."""
+
+    from_m: float
+    to_m: float
+    volume_m3: float
+    sigma_m3: float
+
+
+def partial_volumes(tank: Tank, wall_thickness: float = 0.0) -> tuple[Filled, ...]:
+    """Volumes between neighbouring sections, by the end areas."""
+    radius, height, covariance = _rings(tank, wall_thickness)
+    parts = []
+    for k in range(len(radius) - 1):
+        made = volume_between_sections(radius[k : k + 2], height[k : k + 2], covariance[k : k + 2])
+        parts.append(Filled(height[k] - height[0], height[k + 1] - height[0], made.value, made.sigma))
+    return tuple(parts)
+
+
+def filling_table(tank: Tank, step_m: float, wall_thickness: float = 0.0) -> tuple[Filled, ...]:
+    """Volumes from the lowest section to levels that far apart; areas change evenly between sections.
+
+    raises ConfigurationError: for a step that cannot be, or a single section.
+    """
+    radius, height, covariance = _rings(tank, wall_thickness)
+    if len(radius) < 2:
+        raise ConfigurationError("a filling table needs two sections", "measure another ring")
+    whole = float(height[-1] - height[0])
+    most_levels = 10_000
+    if not whole / most_levels < step_m <= whole:
+        raise ConfigurationError(f"levels every {step_m:g} m make no table", f"the sections span {whole:g} m")
+    levels = np.append(np.arange(step_m, whole * (1 - 1e-9), step_m), whole)
+    return tuple(Filled(0.0, float(at), *_filled(radius, height, covariance, float(at))) for at in levels)
+
+
+def _rings(tank: Tank, wall_thickness: float) -> tuple[Floats, Floats, Floats]:
+    radius = np.array([ring.circle.radius for ring in tank.sections]) - wall_thickness
+    height = np.array([ring.height for ring in tank.sections])
+    return radius, height, np.array([ring.covariance for ring in tank.sections])
+
+
+def _filled(radius: Floats, height: Floats, covariance: Floats, level: float) -> tuple[float, float]:
+    """Volume up to a level above the lowest section, and its standard deviation."""
+    steps = 1e-6 * np.stack([radius, np.full_like(radius, height[-1] - height[0])], axis=1)
+    gradient = np.zeros((len(radius), 2))
+    for k in range(len(radius)):
+        for axis in (0, 1):
+            moved = [np.stack([radius, height], axis=1) for _ in "+-"]
+            moved[0][k, axis] += steps[k, axis]
+            moved[1][k, axis] -= steps[k, axis]
+            above, below = (_volume(one[:, 0], one[:, 1], one[0, 1] + level) for one in moved)
+            gradient[k, axis] = (above - below) / (2 * steps[k, axis])
+    variance = float(np.einsum("mi,mij,mj->", gradient, covariance, gradient))
+    return _volume(radius, height, height[0] + level), float(np.sqrt(variance))
+
+
+def _volume(radius: Floats, height: Floats, top: float) -> float:
+    """Integral of the area, even between sections, up to a height; beyond the last it goes on as there."""
+    area, total = np.pi * radius**2, 0.0
+    for k in range(len(radius) - 1):
+        last = k == len(radius) - 2
+        rise = float(height[k + 1] - height[k])
+        up = max(top - height[k], 0.0) if last else min(max(top - height[k], 0.0), rise)
+        total += area[k] * up + (area[k + 1] - area[k]) * up**2 / (2 * rise)
+    return float(total)
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,12 @@ from photocal.findings.document import (
     columns,
 )
 from photocal.findings.texts import Catalogue
+from photocal.report.camera_sections import ROWS
 from photocal.report.figures import difference_histograms, difference_map
 from photocal.report.sensor import RADIAL
 from photocal.report.stored_analysis import AnalysedRun
 from photocal.results.result import CENTRES, TURNS
 
-ROWS = 60
 ARCSECONDS = 3600.0
 
 

@@ -23,14 +23,12 @@ from photocal.report import sensor
 from photocal.report.figures import correlation_picture, natural_width, radial_curve, residual_map
 from photocal.report.stored_analysis import AnalysedRun
 
-STRONG = 0.9
-
 # Second opinions on standard deviations, see `analysis.robust`.
 OPINIONS = ("sandwich", "bootstrap")
 # Zero is a special value for these; that c differs from zero is no finding.
 NOT_TESTED = ("c",)
+# Longer tables show their worst rows, a third of so many.
 ROWS = 60
-ARROWS = 1500
 
 
 def camera_facts(camera_id: str, camera: Camera, readout: Readout | None, say: Catalogue) -> KeyValues:
@@ -169,9 +167,10 @@ def correlations(title: str, name: str, camera: Camera, say: Catalogue) -> Secti
 
 
 def _strong(camera: Camera, say: Catalogue) -> str:
-    limit = say.fixed(STRONG, 1)
+    strong = 0.9
+    limit = say.fixed(strong, 1)
     names, matrix = camera.free, camera.correlation_of(camera.free)
-    pairs = [(i, j) for i in range(len(names)) for j in range(i) if abs(matrix[i, j]) > STRONG]
+    pairs = [(i, j) for i in range(len(names)) for j in range(i) if abs(matrix[i, j]) > strong]
     if not pairs:
         return say("correlation.weak", limit=limit)
     pairs.sort(key=lambda ij: -abs(matrix[ij]))
@@ -233,7 +232,9 @@ def image_residuals(title: str, name: str, run: AnalysedRun, camera_id: str, say
     """Make the map of residuals on the sensor and their size by image."""
     camera = run.result.cameras[camera_id]
     residuals = sensor.sensor_residuals(run, camera_id)
-    vectors = sensor.thinned(residuals, camera, ARROWS)
+    # More arrows would cover each other.
+    arrows = 1500
+    vectors = sensor.thinned(residuals, camera, arrows)
     rays = len(residuals.place)
     caption = say("residuals.figure", rays=rays)
     if len(vectors.place) < rays:

@@ -22,8 +22,6 @@ Verdict = Literal["acceptable", "new_calibration", "not_determined"]
 Pair = tuple[FiniteFloat, FiniteFloat]
 # A block counts as flown when every camera looks down within so many degrees.
 NADIR_DEG = 30.0
-# Pairs of axes are compared for this many images at most; beyond, every k-th is taken.
-IMAGES = 1000
 
 
 @dataclass(frozen=True)
@@ -340,6 +338,8 @@ def network_shape(run: AnalysedRun, camera_id: str) -> tuple[float, float] | Non
     )
     low, middle, high = np.percentile(depth, [5, 50, 95])
     axes = axes[np.unique(image)]
-    axes = axes[:: -(-len(axes) // IMAGES)]
+    # Pairs of axes are compared for this many images at most; beyond, every k-th is taken.
+    images = 1000
+    axes = axes[:: -(-len(axes) // images)]
     angle = np.degrees(np.arccos(np.clip((axes @ axes.T).min(), -1.0, 1.0)))
     return float(angle), float((high - low) / middle)

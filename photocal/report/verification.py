@@ -17,9 +17,8 @@ from photocal.findings.texts import Catalogue, catalogue, findings_of
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, given_particulars
 from photocal.report.issue import FORMS, NAME, certified_result, plain_record, printed
-from photocal.report.signing import SIGNATURE
+from photocal.report.signing import SIGNATURE, STAMP
 from photocal.report.stored_analysis import AnalysedRun, read_run
-from photocal.report.timestamp import STAMP
 from photocal.results.adjusted import adjust_block
 from photocal.results.folder import RESULT
 from photocal.results.more_tables import Wanted
@@ -28,23 +27,15 @@ from photocal.results.origin import CARRIED, BlockSource, carry
 PAGES = FORMS[:2]
 # The pages are compared themselves.
 NOT_FIGURES = ("documents",)
-# An iteration may be needed more or less ...
-ITERATIONS = 2
-# ... and a line may be drawn by this part of a point elsewhere.
-DRAWN = 0.02
 _DRAWN = re.compile(rb"<svg.*?</svg>", re.DOTALL)
 _NUMBER = re.compile(rb"(?<![\w#])-?\d+\.\d+")
-# Two machines sum in another order; a value may differ by this share of its standard deviation ...
-SHARE_OF_SIGMA = 1e-4
-# ... any other number by this share of itself, or, in metres, pixels and correlations, by this much.
+# A number may differ by this share of itself, or, in metres, pixels and correlations, by this much.
 RELATIVE, ABSOLUTE = 1e-6, 1e-8
 # Figures of the analysis are differences of two adjustments, each of which ends within a millionth of a
-# standard deviation of its minimum: four digits of them are the same everywhere ...
+# standard deviation of its minimum: four digits of them are the same everywhere;
 ANALYSIS, ANALYSIS_RELATIVE = "analysis", 1e-4
-# ... and those that may be nearly zero, in millimetres, metres, pixels or as correlations, to this much.
+# those that may be nearly zero, in millimetres, metres, pixels or as correlations, to a millionth.
 NEARLY_ZERO = ("c", "change_of_c", "value", "check_rmse_m", "shift_c", "bias", "ground_m", "effect_c")
-ANALYSIS_ABSOLUTE = 1e-6
-LONGEST_SHOWN = 60
 
 
 @dataclass(frozen=True)
@@ -98,11 +89,13 @@ def _same_page(certified: bytes, printed: bytes) -> bool:
     if certified == printed:
         return True
     first, second = _drawings(certified), _drawings(printed)
+    # A line may be drawn by this part of a point elsewhere.
+    drawn = 0.02
     return (
         _NUMBER.split(first) == _NUMBER.split(second)
         and len(_DRAWN.findall(certified)) == len(_DRAWN.findall(printed))
         and all(
-            abs(float(a) - float(b)) <= DRAWN
+            abs(float(a) - float(b)) <= drawn
             for a, b in zip(_NUMBER.findall(first), _NUMBER.findall(second), strict=True)
         )
         and _DRAWN.sub(b"", certified) == _DRAWN.sub(b"", printed)
@@ -155,13 +148,18 @@ def _name(item: Any, index: int) -> str:
 
 def _tolerance(place: str, size: float, sigma: float) -> float:
     """By how much two computations of a figure may differ."""
+    # Two machines sum in another order; a value may differ by this share of its standard deviation.
+    share_of_sigma = 1e-4
     if sigma > 0.0:
-        return max(SHARE_OF_SIGMA * sigma, 1e-12 * size)
+        return max(share_of_sigma * sigma, 1e-12 * size)
     key = place.rsplit(".", 1)[-1].split("[")[0]
     if key == "iterations":
-        return ITERATIONS
+        # An iteration may be needed more or less.
+        return 2
+    # Of what may be nearly zero.
+    absolute = 1e-6
     if place.startswith(ANALYSIS):
-        return max(ANALYSIS_RELATIVE * size, ANALYSIS_ABSOLUTE if key in NEARLY_ZERO else 0.0)
+        return max(ANALYSIS_RELATIVE * size, absolute if key in NEARLY_ZERO else 0.0)
     # Coefficients may be as small as 1e-20: only figures of known size have an absolute tolerance.
     known = key not in ("sigma", "value", "prior_sigma")
     return max(RELATIVE * size, ABSOLUTE if known else 0.0)
@@ -242,4 +240,6 @@ def _choices(certified: dict[str, Any]) -> list[str]:
 
 def _shown(value: Any) -> str:
     text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
+    # Longer texts are cut, to keep a difference one line.
+    longest_shown = 60
+    return text if len(text) <= longest_shown else f"{text[:longest_shown]}..."

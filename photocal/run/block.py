@@ -43,7 +43,7 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
     def make(folder: Path, _: Progress) -> None:
         """Make the files of the stage."""
         from photocal.block.folder import read_block
-        from photocal.measurement.block_files import RECORD
+        from photocal.measurement.measurement_record import RECORD
         from photocal.run.project_checks import check_rays
 
         block = read_block(measurements)

@@ -58,7 +58,7 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
 
     def make(folder: Path, show: Progress) -> None:
         """Make the files of the stage."""
-        from photocal.measurement.picture_conditions import told_conditions
+        from photocal.measurement.picture_tests import told_conditions
         from photocal.report.certificate_metadata import read_particulars
         from photocal.report.issue import issue
         from photocal.run.project_checks import facts_of_pictures

@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from photocal.measurement.camera_heads import HeadGroup, recognised_heads
 from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.maker_camera import HeadGroup, recognised_heads
 
 # Lenses in the order in which a block is made of their pictures; "" is a camera of one lens.
 LENSES = {

@@ -7,7 +7,7 @@ from photocal.base.console import progress
 from photocal.findings.document import Document
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import list_images
-from photocal.measurement.picture_conditions import told_conditions
+from photocal.measurement.picture_tests import told_conditions
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import FORMS, issue
 from photocal.report.keys import own_key

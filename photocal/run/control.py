@@ -42,9 +42,9 @@ def control_figures(project: Project) -> dict[str, Any]:
     from photocal.findings.texts import as_record, catalogue, plain, sentence
     from photocal.measurement.control_review import stray_points
     from photocal.measurement.image_facts import read_facts
+    from photocal.measurement.mark_frames import settle_marks
     from photocal.measurement.marks import read_marks
     from photocal.measurement.picture_block import control_points
-    from photocal.measurement.settled_marks import settle_marks
 
     points, file, pictures = control_points(project), project.control.marks, _pictures(project)
     marks = read_marks(file) if file is not None and file.exists() else ()

@@ -29,7 +29,6 @@ _OTHER = (5.0, 0.0, 0.0, 0.0)
 _OCTETS = {"observations.csv": 45.0, "observations.parquet": 20.0}
 # Before a block tells.
 RAYS_OF_A_PICTURE = 200.0
-TOLD_EVERY_S = 1.0
 
 
 @dataclass(frozen=True)

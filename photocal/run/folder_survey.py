@@ -30,7 +30,6 @@ CHECKS = ("check", "checagem", "verificação", "verificacao", "checkpoint", "ch
 _LOGS, _RAW_LOGS = (".mcap",), (".tlog", ".bin", ".ulg", ".ubx")
 _TABLES = (".csv", ".txt")
 _RINEX = (".obs", ".nav", ".rnx")
-_DEPTH = 3
 # Who speaks of pictures does so at once.
 _HEAD_BYTES = 1 << 16
 Sizes = dict[str, tuple[int, int]]
@@ -94,7 +93,9 @@ def survey(folder: Path, leave_out: Collection[Path] = ()) -> FolderContents:
     if not folder.is_dir():
         raise InputNotFoundError("is no folder", "name the folder of the flight", where=folder)
     seen = FolderContents(folder)
-    files = sorted(path for path in _files(folder, _DEPTH) if path not in leave_out)
+    # Folders that are looked into, one in another.
+    depth = 3
+    files = sorted(path for path in _files(folder, depth) if path not in leave_out)
     seen.pictures = _pictures(files, seen.unread)
     sizes = {image.name: image.size_px for facts in seen.pictures.values() for image in facts}
     results = _results(files, folder, seen.unread)
@@ -140,7 +141,7 @@ def _named(path: Path, patterns: Sequence[str]) -> bool:
 
 def _with_cameras(path: Path, sizes: Sizes, seen: FolderContents) -> None:
     """Cameras of a .cam file of Pix4D; that of Inpho beside it has no distortion, and is passed over."""
-    from photocal.exchange.pix4d_tables import read_cam
+    from photocal.exchange.pix4d_project import read_cam
 
     try:
         seen.cams[path] = read_cam(path, dict.fromkeys(sizes.values()))

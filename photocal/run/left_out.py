@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import tomlkit
-from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AoT
 
 from photocal.base.arrays import Flags
-from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.base.codec import toml_document
+from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_file
 from photocal.block.model import ROLES, Block
 from photocal.findings.finding import Finding
-from photocal.measurement.start_block import without_images
+from photocal.measurement.tie_block import without_images
 from photocal.project import LeaveOutKeys
 
 _SECTION = "leave_out"
@@ -101,7 +101,7 @@ def leave_out(path: Path, entry: LeaveOutKeys) -> None:
 
     raises InputMalformedError, OutputError: when the file cannot be read, or written.
     """
-    document = _parsed(path)
+    document = toml_document(path)
     _take_back(document, entry)
     if _SECTION not in document:
         document.add(tomlkit.nl())
@@ -117,7 +117,7 @@ def take_back(path: Path, entry: LeaveOutKeys) -> None:
 
     raises ConfigurationError: when it is not left out.
     """
-    document = _parsed(path)
+    document = toml_document(path)
     if not _take_back(document, entry):
         raise ConfigurationError(
             "is not in the list of data left out by hand", "check [[leave_out]]", where=path
@@ -136,13 +136,6 @@ def _take_back(document: tomlkit.TOMLDocument, entry: LeaveOutKeys) -> bool:
     if not listed:
         document.remove(_SECTION)
     return bool(same)
-
-
-def _parsed(path: Path) -> tomlkit.TOMLDocument:
-    try:
-        return tomlkit.parse(path.read_text(encoding="utf-8"))
-    except (TOMLKitError, UnicodeDecodeError, OSError) as refusal:
-        raise InputMalformedError(f"is no TOML ({refusal})", "correct it", where=path) from refusal
 
 
 def _write(path: Path, document: tomlkit.TOMLDocument) -> None:

@@ -115,7 +115,7 @@ def measurements_stage(project: Project, exposures: Path | None) -> Stage:
 
 
 def _make(project: Project, exposures: Path | None, folder: Path, show: Progress) -> None:
-    from photocal.measurement.block_files import SCHEMA, MeasuredBlock
+    from photocal.measurement.measurement_record import SCHEMA, MeasuredBlock
     from photocal.measurement.picture_block import control_points
     from photocal.run.exposures import FIGURES, ExposureFigures
     from photocal.run.project_checks import check_near, picture_places

@@ -30,8 +30,6 @@ from photocal.run.folder_survey import ControlFile
 from photocal.run.project_checks import FREED, unfit
 
 HEIGHTS = ("ellipsoidal", "orthometric", "local")
-# Around a place, deg: grids are looked up there.
-_AROUND = 0.2
 
 
 @dataclass
@@ -345,7 +343,9 @@ def _with_geoid(made: NewControl, placed: Sequence[ImageFacts]) -> None:
     if not placed:
         return
     latitude, longitude = _middle(placed)
-    area = (longitude - _AROUND, latitude - _AROUND, longitude + _AROUND, latitude + _AROUND)
+    # Around a place, deg: grids are looked up there.
+    around = 0.2
+    area = (longitude - around, latitude - around, longitude + around, latitude + around)
     without = f"without one: {FREED}"
 
     def grid(crs: str) -> str:

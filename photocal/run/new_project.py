@@ -16,9 +16,8 @@ from photocal.block.model import NO_POINTS, ROLES, ObjectPoints
 from photocal.block.network import OTHER_SURFACE_M
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.geometry.camera import PARAMETERS, Camera
-from photocal.measurement.camera_heads import HeadGroup
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
-from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
+from photocal.measurement.maker_camera import HeadGroup, StatedCamera, group_cameras, stated_camera
 from photocal.measurement.mark_frames import AS_STORED, FrameOffer, parse_frame
 from photocal.measurement.marks import named_after
 from photocal.measurement.picture_tests import judge_cameras, told_beside
@@ -33,8 +32,6 @@ from photocal.run.renewed_project import answered_height, renewed, written_befor
 PICTURES = "pictures.csv"
 # Positions of a receiver without corrections; their heights count from another surface than those of control.
 CODE_LEVEL_M = (1.5, 1.5, 3.0)
-# How far the cameras of a frame may be apart, m: the sigma of each coordinate.
-APART_M = 0.1
 # A camera of another c is another camera: this share of it, or so many sigmas of what the pictures say.
 UNLIKE, FAR_SIGMAS = 0.1, 3.0
 _ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2")
@@ -359,17 +356,19 @@ class _Text:
         # By how much later a head may expose than the first, s: by pictures of a recorded head some 10 to 30
         # ms. Where readouts differ, so do their middles: heads begin together, or end together.
         later_s = 0.02
+        # How far the cameras of a frame may be apart, m: the sigma of each coordinate.
+        apart_m = 0.1
         for name, readout in zip(self.cameras[1:], readouts[1:], strict=True):
             half = (readout - readouts[0]) / 2
             yield "\n[[head]]  # rotated as the pictures state; rotation_deg and its sigma where it is known"
             yield f"camera = {_quoted(name)}"
             yield f"of = {_quoted(self.cameras[0])}"
             yield f"centre_m = [0.0, 0.0, 0.0]  # x right, y up, z backwards of {self.cameras[0]}: assumed"
-            yield f"centre_sigma_m = {APART_M}"
+            yield f"centre_sigma_m = {apart_m}"
             yield f"time_s = {half:.4g}  # middle of its readout, where those of all begin together: assumed"
             yield f"time_sigma_s = {np.hypot(later_s, half):.3g}"
         self.missing.append(
-            f"the distance between the cameras is not stated: {APART_M} m assumed (centre_m in [[head]])"
+            f"the distance between the cameras is not stated: {apart_m} m assumed (centre_m in [[head]])"
         )
 
     def pictures_table(self) -> str:

@@ -37,15 +37,11 @@ FAR_FROM_BASE_M, FAR_FROM_PICTURES_M = 50_000.0, 5_000.0
 REACH_HEIGHTS, REACH_M = 2.0, 20.0
 # Rays of exposures by GNSS and inertial unit meet a point to this, over its distance, and at least in m.
 RAYS, RAYS_M = 0.15, 15.0
-# A hypothesis must leave so much less than the contradiction.
-EXPLAINS = 0.2
 FEWEST = 3
 # What serves without a geoid.
 FREED = 'position_sigma_m = "free" in [images], and control alone places the block'
 # Of so many control points some may be wrong.
 SOME_WRONG = 1 / 3
-# Grids are looked up so far around a place, deg.
-AROUND = 0.2
 _PICTURES = 10
 _UNITS = {"feet": 0.3048, "millimetres": 0.001, "centimetres": 0.01, "kilometres": 1000.0}
 Place = tuple[float, float, str, float]
@@ -97,7 +93,9 @@ def _check_frame(project: Project, control: ObjectPoints, place: Place | None) -
 
 
 def _around(place: Place) -> tuple[float, float, float, float]:
-    return place[1] - AROUND, place[0] - AROUND, place[1] + AROUND, place[0] + AROUND
+    # Grids are looked up so far around a place, deg.
+    around_deg = 0.2
+    return place[1] - around_deg, place[0] - around_deg, place[1] + around_deg, place[0] + around_deg
 
 
 def _with_heights(crs: str, place: Place | None) -> str:
@@ -324,13 +322,15 @@ def check_rays(block: Block, control_file: Path | None, *, alike: bool = False) 
     if miss <= limit:
         return
     slips = [(c, float(np.median(np.linalg.norm(x - met, axis=1)))) for c, x in _slips(survey)]
-    for most in (limit, EXPLAINS * miss):
+    # A hypothesis must leave so much less than the contradiction.
+    explains = 0.2
+    for most in (limit, explains * miss):
         for cause, left in slips:
-            if left <= most and left < EXPLAINS * miss:
+            if left <= most and left < explains * miss:
                 remedy = f"then they lie {left:.1f} m from the rays, not {miss:.0f} m"
                 raise wrong(cause, remedy)
     shifted = survey + np.median(met - survey, axis=0)
-    if np.median(np.linalg.norm(shifted - met, axis=1)) <= max(limit, EXPLAINS * miss):
+    if np.median(np.linalg.norm(shifted - met, axis=1)) <= max(limit, explains * miss):
         if not alike:
             return
         east, north, up = np.median(survey - met, axis=0)

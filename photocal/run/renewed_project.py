@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import tomlkit
-from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AoT, Table
 
-from photocal.base.errors import InputMalformedError
+from photocal.base.codec import toml_document
 from photocal.project import ASKED, NAME
 
 # What tells entries of a list of tables apart.
@@ -21,7 +20,7 @@ def written_before(folder: Path) -> tuple[Path, ...]:
     path = folder / NAME
     if not path.exists():
         return ()
-    content = _parsed(path, path.read_text(encoding="utf-8"))
+    content = toml_document(path)
     named = [
         content.get(section, {}).get(key)
         for section, key in (("control", "points"), ("control", "marks"), ("images", "pictures"))
@@ -34,15 +33,8 @@ def answered_height(folder: Path) -> str:
     path = folder / NAME
     if not path.exists():
         return ""
-    stated = str(_parsed(path, path.read_text(encoding="utf-8")).get("project", {}).get("height", ASKED))
+    stated = str(toml_document(path).get("project", {}).get("height", ASKED))
     return "" if stated == ASKED else stated
-
-
-def _parsed(path: Path, text: str) -> tomlkit.TOMLDocument:
-    try:
-        return tomlkit.parse(text)
-    except TOMLKitError as refusal:
-        raise InputMalformedError(f"is no TOML ({refusal})", "correct it", where=path) from refusal
 
 
 def renewed(
@@ -58,7 +50,7 @@ def renewed(
     """
     path = folder / NAME
     before = path.read_text(encoding="utf-8")
-    document, found = _parsed(path, before), tomlkit.parse(files[NAME])
+    document, found = toml_document(path), tomlkit.parse(files[NAME])
     _merge(document, found)
     after = tomlkit.dumps(document)
     lines = difflib.unified_diff(before.splitlines(), after.splitlines(), lineterm="", n=0)

@@ -19,8 +19,6 @@ from photocal.report.stored_analysis import AnalysedRun
 from photocal.results.origin import CARRIED, BlockSource, carry
 from photocal.run.summary import add_new, calibration_findings, causes_first, hidden_faults, same_matter
 
-# Two machines may write another last digit; a figure may differ by this share of itself.
-_SHARE = 1e-3
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 
 
@@ -132,8 +130,10 @@ def _same(a: Any, b: Any) -> bool:
     if isinstance(a, str) and isinstance(b, str):
         numbers = zip(_NUMBER.findall(a), _NUMBER.findall(b), strict=False)
         return _NUMBER.split(a) == _NUMBER.split(b) and all(_same_digits(*pair) for pair in numbers)
+    # Two machines may write another last digit; a figure may differ by this share of itself.
+    share = 1e-3
     if isinstance(a, int | float) and isinstance(b, int | float):
-        return abs(a - b) <= _SHARE * max(abs(a), abs(b)) + 1e-6
+        return abs(a - b) <= share * max(abs(a), abs(b)) + 1e-6
     return bool(a == b)
 
 

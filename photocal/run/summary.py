@@ -17,7 +17,7 @@ from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_
 from photocal.findings.verdict import Known, Verdict, judge, read_verdict, verdict_json, verdict_text
 from photocal.geometry.camera import PARAMETERS
 from photocal.hypotheses.table import FAULTS, Fault, fault, searched
-from photocal.measurement.maker_tag import tag_finding
+from photocal.measurement.maker_camera import tag_finding
 from photocal.navigation.ppk_figures import FIGURES as PPK
 from photocal.navigation.ppk_figures import PpkFigures
 from photocal.report.stored_analysis import AnalysedRun, read_run
@@ -239,7 +239,6 @@ _SOURCES: tuple[tuple[str, str, Callable[[Path], Iterator[Finding]]], ...] = (
 
 
 SCHEMA = "photocal.run/1"
-_WORD = 14
 _PPK = ("epochs", "fixed", "float", "single", "fixed_percent")
 _LEVER = ("lever_arm_x", "lever_arm_y", "lever_arm_z")
 _BORESIGHT = ("boresight_x", "boresight_y", "boresight_z")
@@ -405,7 +404,9 @@ def _verdict_lines(final: Verdict, notes: int, say: Catalogue) -> Iterator[str]:
 
 
 def _line(word: str, text: str) -> str:
-    return f"{word:<{_WORD}}{text}"
+    # Of the column of words.
+    word_width = 14
+    return f"{word:<{word_width}}{text}"
 
 
 def _calibration_lines(figures: dict[str, Any]) -> Iterator[str]:

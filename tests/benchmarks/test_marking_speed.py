@@ -12,9 +12,8 @@ import pytest
 from PIL import Image
 
 from photocal.base.web import Address, serving
-from photocal.measurement.marking.scene import scene_of_folder
 from photocal.measurement.marking.service import application
-from photocal.measurement.marking.store import MarkStore
+from photocal.measurement.marking.store import MarkStore, scene_of_folder
 from photocal.measurement.marking.tiles import coarsest_level
 
 WIDTH, HEIGHT = 8660, 5773

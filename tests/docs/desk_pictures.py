@@ -12,7 +12,7 @@ from pathlib import Path
 
 from photocal.base.progress import quiet
 from photocal.base.web import Address, serving
-from photocal.desk.server import application
+from photocal.desk.standing import application
 from photocal.project import read_project
 from photocal.run.campaign import run_project
 from photocal.run.new_project import new_project

@@ -10,8 +10,7 @@ from tempfile import TemporaryDirectory
 from typer.main import get_command
 
 from photocal.cli import app
-from photocal.studies.comparison import ComparedFigure, Repeated, shown
-from photocal.studies.repeat import repeat_study
+from photocal.studies.comparison import ComparedFigure, Repeated, repeat_study, shown
 from photocal.studies.study import shipped
 
 ROOT = Path(__file__).parents[2]

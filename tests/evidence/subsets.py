@@ -28,12 +28,11 @@ from scipy.sparse.csgraph import connected_components
 
 from photocal.base.errors import PhotocalError
 from photocal.measurement.image_pairs import stated_footprints
-from photocal.measurement.image_tracks import ImageTracks, track_images
-from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.match_images import ImageTracks, MatchingPlan, track_images
 from photocal.measurement.oriented_ties import first_orientation
 from photocal.measurement.position_files import local_places
-from photocal.measurement.start_block import start_block
 from photocal.measurement.tie_adjustment import pixel_residuals
+from photocal.measurement.tie_block import start_block
 from tests.evidence.portions import outcomes
 from tests.photocal.measurement.site import SIDE, flight, texture
 

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from photocal.base.workers import run_tasks
 from photocal.geometry.camera import camera
-from photocal.measurement.boards import Board, charuco_board, find_board
-from photocal.measurement.markers import COMMON_PX, dictionary, find_markers
+from photocal.measurement.markers import COMMON_PX, Board, charuco_board, dictionary, find_board, find_markers
 from photocal.measurement.marking.snap import snap
 from photocal.measurement.target_centre import PARTS, SMALLEST_PX, TargetImage, ground_bend
 from photocal.measurement.target_search import find_targets

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.base.workers import run_tasks
-from photocal.measurement.boards import Board, find_board
 from photocal.measurement.image_file import as_eight_bit, list_images, read_grey
-from photocal.measurement.markers import find_markers
+from photocal.measurement.markers import Board, find_board, find_markers
 from photocal.measurement.target_centre import PARTS, SMALLEST_PX, Kind, TargetImage
 from photocal.measurement.target_search import WITHIN, find_targets
 

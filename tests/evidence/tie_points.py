@@ -30,11 +30,10 @@ from photocal.exchange.micmac import read_micmac
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.geometry.similarity import similarity
-from photocal.measurement.block_files import MeasuredBlock
 from photocal.measurement.image_file import list_images
 from photocal.measurement.image_pairs import footprints, select_pairs, stated_footprints
-from photocal.measurement.image_tracks import track_images
-from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.match_images import MatchingPlan, track_images
+from photocal.measurement.measurement_record import MeasuredBlock
 from photocal.measurement.oriented_ties import Oriented, orient_ties
 from photocal.measurement.picture_block import GivenControl, measure_images
 from photocal.measurement.tie_block import TIE

@@ -12,9 +12,6 @@ from photocal.base.errors import InputNotFoundError
 from photocal.block.network import observed_pixels
 from photocal.desk.views.shown import Shown, numbers
 
-# Predicted places of surveyed points are shown within the picture and so much beyond its edge, px.
-_BEYOND_PX = 0.5
-
 
 def picture(shown: Shown, name: str) -> dict[str, Any]:
     """Observations of a picture and where surveyed points that nobody marked would be.
@@ -106,6 +103,8 @@ def _predicted(shown: Shown, image: int, rows: Integers) -> list[dict[str, Any]]
     local = shown.frame.to_local(points.values[open_])
     place = shown.images.project(np.full(len(open_), image), local)
     size = shown.images.sizes()[image]
+    # Predicted places of surveyed points are shown within the picture and so much beyond its edge, px.
+    beyond_px = 0.5
     with np.errstate(invalid="ignore"):
-        inside = ((place >= -_BEYOND_PX) & (place <= size - _BEYOND_PX)).all(axis=1)
+        inside = ((place >= -beyond_px) & (place <= size - beyond_px)).all(axis=1)
     return [{"point": points.names[open_[k]], "place": numbers(place[k], 1)} for k in np.flatnonzero(inside)]

@@ -16,8 +16,6 @@ from photocal.results.plot import displacement
 # Standardised residuals beyond the last bin are counted in it.
 _EDGE, _BINS = 5.0, 40
 _RADII, _CLOUD, _ARROWS = 24, 3000, 400
-# More rays than that are one bar.
-_MOST_RAYS = 30
 
 
 def plots(shown: Shown) -> dict[str, Any]:
@@ -120,5 +118,7 @@ def _distortion(camera: Camera) -> dict[str, Any]:
 
 def _rays_per_point(shown: Shown) -> dict[str, Any]:
     rays, role = shown.result.points.rays, np.array(shown.result.points.role)
-    tie = np.bincount(np.minimum(rays[role == "tie"], _MOST_RAYS), minlength=2)
-    return {"rays": list(range(len(tie))), "points": tie.tolist(), "most": _MOST_RAYS}
+    # More rays than that are one bar.
+    most_rays = 30
+    tie = np.bincount(np.minimum(rays[role == "tie"], most_rays), minlength=2)
+    return {"rays": list(range(len(tie))), "points": tie.tolist(), "most": most_rays}

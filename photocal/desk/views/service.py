@@ -12,14 +12,13 @@ from photocal.base.checked_toml import read_tables
 from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.base.web_answers import checked
 from photocal.desk.session import Desk
-from photocal.desk.views import concerns, overview, pictures
+from photocal.desk.views import overview, pictures
 from photocal.desk.views.ground import Ground, ground_of, ground_tile
 from photocal.desk.views.plots import plots
 from photocal.desk.views.shown import Shown, adjusted_in, read_shown
 from photocal.findings.texts import LANGUAGES, catalogue
-from photocal.measurement.marking.scene import Picture, read_pictures, scene_of_project
 from photocal.measurement.marking.service import MarkingService
-from photocal.measurement.marking.store import MarkStore
+from photocal.measurement.marking.store import MarkStore, Picture, read_pictures, scene_of_project
 from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles, coarsest_level
 from photocal.project import LeaveOutKeys
 from photocal.results.folder import RESULT
@@ -107,7 +106,7 @@ class Look:
         """All findings in a language."""
         language = asked.get("language", "en")
         say = catalogue(language if language in LANGUAGES else "en")
-        return self.view(("findings", say.language), lambda shown: concerns.findings(shown, say))
+        return self.view(("findings", say.language), lambda shown: overview.findings(shown, say))
 
     def picture(self, asked: dict[str, str]) -> dict[str, Any]:
         """Observations of one picture; without any where it takes no part."""

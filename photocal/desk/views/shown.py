@@ -19,9 +19,6 @@ from photocal.geometry.oriented_images import OrientedImages
 from photocal.results.folder import RESULT, read_result
 from photocal.results.result import Result
 
-# Probability of the ellipses: of the true place to lie inside.
-PROBABILITY = 0.95
-
 
 @dataclass(frozen=True, eq=False)
 class Shown:

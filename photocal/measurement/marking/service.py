@@ -25,14 +25,12 @@ from photocal.block.model import ROLES
 from photocal.exchange.parts import Mark
 from photocal.measurement.image_file import Grey, read_grey
 from photocal.measurement.marking.adjustment import AdjustedMarks, adjust_marks
-from photocal.measurement.marking.scene import Picture, Scene
 from photocal.measurement.marking.snap import KINDS, Kind, snap
-from photocal.measurement.marking.store import MarkStore
+from photocal.measurement.marking.store import MarkStore, Picture, Scene
 from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles
 from photocal.measurement.marks import BY_HAND_PX
 from photocal.measurement.orientation import Orientation, ellipse, predict
-from photocal.measurement.target_centre import ground_bend, measurable
-from photocal.measurement.target_patterns import FLAT
+from photocal.measurement.target_centre import FLAT, ground_bend, measurable
 
 FARTHEST_REACH_PX = 60.0
 # A name has something to see and nothing that breaks a line.
@@ -143,7 +141,7 @@ class MarkingService:
                     "x": x if math.isfinite(x) else None,
                     "y": y if math.isfinite(y) else None,
                     "probability": likely,
-                    "ellipse": None if outline is None or not math.isfinite(x) else dict(vars(outline)),
+                    "ellipse": outline if math.isfinite(x) else None,
                 }
         ranked = sorted(names, key=lambda name: self._rank(name, seen.get(name)))
         return {

@@ -10,9 +10,8 @@ import numpy as np
 from photocal.base.arrays import Floats
 from photocal.measurement.image_file import Grey
 from photocal.measurement.markers import COMMON_PX, find_markers
-from photocal.measurement.round_targets import cross_centre, round_centre, saddle_centre
-from photocal.measurement.target_centre import Centre
-from photocal.measurement.target_patterns import FLAT, HOLE
+from photocal.measurement.target_centre import FLAT, HOLE, Centre
+from photocal.measurement.target_search import cross_centre, round_centre, saddle_centre
 
 Kind = Literal["cross", "hourglass", "circle", "ring", "code"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -22,8 +21,6 @@ _HOLLOW: tuple[Kind, ...] = ("ring",)
 # the picture of a kind still has its form.
 SIZES = (8.0, 12.0, 18.0, 27.0, 40.0, 60.0)
 SMALLEST_PX: dict[Kind, float] = {"circle": 8.0, "cross": 8.0, "ring": 12.0, "hourglass": 8.0}
-# The search ends when so many larger sizes in a row determine the centre no better.
-_IN_VAIN = 2
 # Codes that are tried when the project names none.
 DICTIONARIES = ("apriltag_36h11", "4x4_1000", "5x5_1000", "6x6_1000")
 # Even ground around circles and rings that is used once their size is known: px, and as a part of it.
@@ -65,6 +62,8 @@ def snap(
     in_vain = 0
     # Targets look the same when turned by 180 degrees: what is less alike (correlation) is not fitted at all.
     least_alike = 0.75
+    # The search ends when so many larger sizes in a row determine the centre no better.
+    most_in_vain = 2
     for size in SIZES:
         middle, likeness = symmetric_place(grey, place, reach, size / 2)
         # Of small targets there may be several within reach: the one that was clicked counts, too.
@@ -85,7 +84,7 @@ def snap(
             best, in_vain = better, 0
         elif best is not None:
             in_vain += 1
-        if in_vain == _IN_VAIN:
+        if in_vain == most_in_vain:
             break
     return None if best is None else _snapped(*best)
 

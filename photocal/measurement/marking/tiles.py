@@ -21,10 +21,7 @@ from photocal.measurement.image_file import as_eight_bit, as_stored, opened, rea
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-# Raised whenever tiles of the same content would look different.
-VERSION = 1
 TILE_PX = 512
-_QUALITY = 88
 # Decoded levels are held until they are this many pixels together, 3 bytes each; one may be larger.
 _HELD_PX = 80_000_000
 # Tiles on disk: about 40 pictures of 50 megapixels looked at all over, for a month.
@@ -56,7 +53,9 @@ class Tiles:
 
     def __init__(self, cache: Path, most_bytes: int = MOST_BYTES, held_px: int = _HELD_PX) -> None:
         self._held_px = held_px
-        self._folder, self._most_bytes = cache / f"tiles{VERSION}", most_bytes
+        # Raised whenever tiles of the same content would look different.
+        version = 1
+        self._folder, self._most_bytes = cache / f"tiles{version}", most_bytes
         # What others left counts: the first tile that is made gives occasion to look.
         self._written = most_bytes
         self._keys: dict[Path, tuple[tuple[int, int], str]] = {}
@@ -115,7 +114,9 @@ class Tiles:
             raise InputNotFoundError("has no such tile", "look at another place", where=picture)
         part = level.crop((left, top, min(left + TILE_PX, level.width), min(top + TILE_PX, level.height)))
         written = BytesIO()
-        part.save(written, "JPEG", quality=_QUALITY)
+        # Of JPEG: nothing is lost that an eye sees.
+        quality = 88
+        part.save(written, "JPEG", quality=quality)
         return written.getvalue()
 
     def _level(self, picture: Path, key: str, level: int) -> "Image":

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from photocal.base.web import Address, serving
-from photocal.desk.server import application
+from photocal.desk.standing import application
 
 
 @dataclass(frozen=True)

@@ -139,7 +139,7 @@ def test_utf_16_with_changed_line_ends_is_no_list(tmp_path: Path, encoding: str)
     path = tmp_path / "gcp_list.txt"
     text = "\ufeffEPSG:2180\n1 2 3 4 5 a.jpg P\n1 2 3 4 5 b.jpg P\n1 2 3 4 5 c.jpg P\n"
     path.write_bytes(text.encode(encoding))
-    assert len(read_gcp_rows(path).rows) == 3
+    assert len(read_gcp_rows(path)[1]) == 3
     path.write_bytes(text.encode(encoding).replace(b"\n", b"\r\n"))
     with pytest.raises(InputMalformedError, match="line ends were changed as if it were plain text"):
         read_gcp_rows(path)

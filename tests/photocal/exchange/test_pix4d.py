@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import InputMalformedError
-from photocal.exchange.pix4d_project import write_pix4d
-from photocal.exchange.pix4d_tables import read_cam, read_external
+from photocal.exchange.pix4d_project import read_cam, read_external, write_pix4d
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import among, plane_to_pixel
 from photocal.geometry.distortion import projected

@@ -14,8 +14,14 @@ from PIL import Image
 
 from photocal.base.errors import ConfigurationError
 from photocal.block.folder import read_block
-from photocal.measurement.boards import Board, charuco_board, find_board, parse_board
-from photocal.measurement.markers import dictionary, find_markers
+from photocal.measurement.markers import (
+    Board,
+    charuco_board,
+    dictionary,
+    find_board,
+    find_markers,
+    parse_board,
+)
 
 from .rendering import warped
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from photocal.measurement.camera_heads import HeadGroup, recognised_heads
 from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.maker_camera import HeadGroup, recognised_heads
 
 
 def seen(names: list[str], times: list[str] | None = None) -> HeadGroup | None:

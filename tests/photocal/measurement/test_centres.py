@@ -13,9 +13,8 @@ from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.markers import quadrilateral_centre
-from photocal.measurement.round_targets import cross_centre, round_centre, saddle_centre
-from photocal.measurement.target_centre import Centre, ground_bend
-from photocal.measurement.target_patterns import flattened
+from photocal.measurement.target_centre import Centre, flattened, ground_bend
+from photocal.measurement.target_search import cross_centre, round_centre, saddle_centre
 
 from .rendering import DARK, LIGHT, bend, perspective, render
 

@@ -19,13 +19,11 @@ from PIL import Image
 from rasterio.errors import NotGeoreferencedWarning  # type: ignore[import-untyped]
 
 from photocal.base.errors import InputNotFoundError, PhotocalError
-from photocal.measurement.boards import find_board, parse_board
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import list_images, read_grey
-from photocal.measurement.markers import dictionary, find_markers
-from photocal.measurement.marking.scene import scene_of_folder
+from photocal.measurement.markers import dictionary, find_board, find_markers, parse_board
 from photocal.measurement.marking.service import MarkingService
-from photocal.measurement.marking.store import MarkStore
+from photocal.measurement.marking.store import MarkStore, scene_of_folder
 from photocal.measurement.marking.tiles import TileAddress
 from photocal.measurement.target_centre import TargetImage
 from photocal.measurement.target_search import find_targets

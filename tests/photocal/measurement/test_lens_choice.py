@@ -10,7 +10,7 @@ import pytest
 from photocal.block.model import Block, Images
 from photocal.geometry.camera import PARAMETERS, Camera, Model, camera
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.measurement.lens_choice import with_chosen_lenses, with_shutters_closed
+from photocal.measurement.release import with_chosen_lenses, with_shutters_closed
 from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties
 from photocal.measurement.tracks import Tracks
 

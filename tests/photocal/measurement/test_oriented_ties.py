@@ -15,9 +15,8 @@ from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, Images
 from photocal.geometry.camera import PARAMETERS, camera, plane_to_pixel
 from photocal.geometry.oriented_images import OrientedImages, oriented_images
 from photocal.measurement.oriented_ties import _views, first_orientation, orient_ties
-from photocal.measurement.start_block import without_single_rays
 from photocal.measurement.tie_adjustment import _Ties, _where_rays_meet, adjust_ties
-from photocal.measurement.tie_block import intersected, place, rescaled_poses, with_ties
+from photocal.measurement.tie_block import intersected, place, rescaled_poses, with_ties, without_single_rays
 from photocal.measurement.tie_orientation import oriented, position_sigmas
 from photocal.measurement.tracks import Tracks
 from tests.photocal import flights

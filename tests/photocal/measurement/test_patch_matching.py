@@ -14,7 +14,7 @@ from PIL import Image
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.patch_kernel import compile_kernels, match_patches
-from photocal.measurement.patch_matching import Source, refine, refine_reduced
+from photocal.measurement.patch_matching import ImageSource, refine, refine_reduced
 from photocal.measurement.tie_block import intersected, reprojection_errors
 from photocal.measurement.tracks import Tracks, of_images, without_twins
 
@@ -93,7 +93,7 @@ def _views(places: Floats, kappa: Floats) -> OrientedImages:
     return OrientedImages(("i",) * len(kappa), (own,), np.zeros(len(kappa), np.int64), poses)
 
 
-def _pictures(views: OrientedImages, folder: Path) -> list[Source]:
+def _pictures(views: OrientedImages, folder: Path) -> list[ImageSource]:
     """Views of level ground of 0.1 m pixels, made by the inverse of the projection."""
     ground = _ground()
     sources = []
@@ -108,7 +108,7 @@ def _pictures(views: OrientedImages, folder: Path) -> list[Source]:
         picture = cv2.remap(ground, column, row, cv2.INTER_CUBIC)
         path = folder / f"{k}.png"
         Image.fromarray(np.clip(picture, 0, 255).astype(np.uint8)).save(path)
-        sources.append(Source(path, f"key{k}", folder / "cache"))
+        sources.append(ImageSource(path, f"key{k}", folder / "cache"))
     return sources
 
 

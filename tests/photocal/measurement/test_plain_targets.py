@@ -18,7 +18,7 @@ from photocal.block.folder import read_block, read_points
 from photocal.block.model import digest
 from photocal.measurement.image_file import list_images
 from photocal.measurement.orientation import of_exposures
-from photocal.measurement.patch_matching import Source
+from photocal.measurement.patch_matching import ImageSource
 from photocal.measurement.plain_targets import (
     PlainMarks,
     find_plain_targets,
@@ -145,8 +145,8 @@ def field(tmp_path_factory: pytest.TempPathFactory) -> Field:
     return Field(folder, site, points)
 
 
-def _sources(field: Field, cache: Path) -> list[Source]:
-    return [Source(path, digest(path), cache) for path in list_images(field.folder / "images")]
+def _sources(field: Field, cache: Path) -> list[ImageSource]:
+    return [ImageSource(path, digest(path), cache) for path in list_images(field.folder / "images")]
 
 
 def _found(field: Field, cache: Path, project: Project | None = None, images: int = 8) -> PlainMarks:

@@ -6,7 +6,7 @@ import pytest
 from photocal.base.errors import ConfigurationError
 from photocal.base.geodesy import enu_offsets
 from photocal.measurement.image_facts import ImageFacts
-from photocal.measurement.position_frame import in_project, moved_finding, shift_of_positions
+from photocal.measurement.position_files import in_project, moved_finding, shift_of_positions
 
 PICTURE = ImageFacts(
     "a.jpg", (4000, 3000), latitude_deg=-25.45, longitude_deg=-49.23, altitude_m=1000.0,

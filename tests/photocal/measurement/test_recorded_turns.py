@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from photocal.adjustment.adjust import adjust
 from photocal.geometry.camera import MOTION, PARAMETERS, SHAKE
-from photocal.measurement.recorded_turns import recorded_turns, turns_while_read
+from photocal.measurement.image_facts import recorded_turns, turns_while_read
 from tests.photocal import flights
 
 Floats = NDArray[np.float64]

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from photocal.measurement.boards import find_board, parse_board
-from photocal.measurement.markers import find_markers
-from photocal.measurement.round_targets import cross_centre, round_centre, saddle_centre
+from photocal.measurement.markers import find_board, find_markers, parse_board
+from photocal.measurement.target_search import cross_centre, round_centre, saddle_centre
 from photocal.measurement.target_shapes import coded_target, plain_target, sheets_pdf
 
 # Rendered finely, for the renderer puts edges on whole pixels, and taken together as a sensor does.

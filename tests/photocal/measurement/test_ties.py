@@ -18,8 +18,16 @@ from photocal.block.folder import read_block
 from photocal.measurement.features import Features, FeatureSettings, cached, detect
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_pairs import Footprints, footprints, select_pairs
-from photocal.measurement.match_images import MatchingPlan, detect_all, match_all, same_pictures
-from photocal.measurement.matching import MatchSettings, match, mutual_matches, search_windows
+from photocal.measurement.match_images import (
+    MatchingPlan,
+    MatchSettings,
+    detect_all,
+    match,
+    match_all,
+    mutual_matches,
+    same_pictures,
+    search_windows,
+)
 from photocal.measurement.tracks import Tracks, join_tracks, spaced, thin
 
 

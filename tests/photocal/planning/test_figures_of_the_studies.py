@@ -23,7 +23,7 @@ from photocal.planning.frame import (
     scale_denominator,
     stereo_precision,
 )
-from photocal.planning.summary import error_budget
+from photocal.planning.plan import error_budget
 
 ELPH = PlanningCamera(4.38e-3, 0.0013368e-3, 4608, 3456)
 IXUS = PlanningCamera(4.382e-3, 1.54e-6, 4000, 3000)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import photocal
-from photocal.planning.summary import height_by_c
+from photocal.planning.plan import height_by_c
 from tests.evidence.height_from_c import CAMERA, DESIGNS, HEIGHT, WRONG, study
 
 CORNERS = [(-51.41, -22.12), (-51.4085, -22.12), (-51.4085, -22.1212), (-51.41, -22.1212)]

@@ -12,8 +12,7 @@ from photocal.base.errors import ConfigurationError
 from photocal.planning.area import Area
 from photocal.planning.flight import FlightRequest, PlannedFlight, plan_flight
 from photocal.planning.frame import PlanningCamera
-from photocal.planning.mission import Home
-from photocal.planning.wind import WIND_TEXT, at_speed, farthest_m, in_wind
+from photocal.planning.mission import WIND_TEXT, Home, at_speed, farthest_m, in_wind
 
 AREA = Area(np.array([-28.853, -28.853, -28.849, -28.849]), np.array([-51.294, -51.290, -51.290, -51.294]))
 FRAME = PlanningCamera(8.8e-3, 2.41e-6, 5472, 3648)

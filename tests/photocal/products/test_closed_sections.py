@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError
 from photocal.cli import app
-from photocal.products.closed_sections import measure_closed, outline_form
 from photocal.products.sections import RingPoints
+from photocal.products.volume import measure_closed, outline_form
 
 
 def rings(xy: Floats, heights: Floats, sigma: float = 0.01) -> RingPoints:

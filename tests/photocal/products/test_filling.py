@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from photocal.base.errors import ConfigurationError
 from photocal.cli import app
-from photocal.products.filling import filling_table, partial_volumes
 from photocal.products.sections import Tank, measure_tank, read_ring_points
+from photocal.products.volume import filling_table, partial_volumes
 
 SECTIONS = Path(__file__).parents[3] / "configs/studies/tank/sections.csv"
 

@@ -14,7 +14,7 @@ from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.cli import app
 from photocal.findings.document import KeyValues, PicturePart, TablePart
 from photocal.findings.texts import catalogue
-from photocal.report.forms import FORMS, ROLLS_DEG, field_forms, planned_places
+from photocal.report.ministry_rows import FORMS, ROLLS_DEG, field_forms, planned_places
 
 
 @pytest.fixture

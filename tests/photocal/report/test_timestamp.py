@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
-from photocal.report.timestamp import STAMP, stamp, stamped
+from photocal.report.signing import STAMP, stamp, stamped
 from photocal.results.adjusted import adjust_block
 from tests.photocal.conftest import Answer
 

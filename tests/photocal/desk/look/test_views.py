@@ -10,7 +10,7 @@ import pytest
 from matplotlib.path import Path as Outline
 from scipy.stats import norm
 
-from photocal.desk.views import concerns, overview, pictures
+from photocal.desk.views import overview, pictures
 from photocal.desk.views.plots import plots
 from photocal.desk.views.shown import Shown, numbers
 from photocal.findings.finding import Finding
@@ -135,7 +135,7 @@ def test_the_lens_is_drawn_as_its_equation_says(shown: Shown) -> None:
 
 @pytest.mark.parametrize("language", ["en", "pt-BR"])
 def test_findings_are_told_worst_first_with_what_they_concern(shown: Shown, language: str) -> None:
-    told = concerns.findings(shown, catalogue(language))
+    told = overview.findings(shown, catalogue(language))
     kinds = [line["kind"] for line in told["lines"]]
     assert kinds == sorted(kinds, key=["bad", "warn", "note"].index)
     control = [line for line in told["lines"] if line["code"] == "control-outside-prediction"]
@@ -150,7 +150,7 @@ def test_a_mark_is_seen_through_its_picture_and_its_point(shown: Shown) -> None:
         ("P5 (p2.png)", {}),
         ("P5", {"image": "p2.png"}),
     ):
-        told = concerns.concerns([Finding("mark-off", "doubtful", subject, figures)], shown)
+        told = overview.concerns([Finding("mark-off", "doubtful", subject, figures)], shown)
         assert told["observations"] == [["p2.png", "P5"]]
         assert told["images"] == ["p2.png"]
         assert told["points"] == ["P5"]
@@ -158,7 +158,7 @@ def test_a_mark_is_seen_through_its_picture_and_its_point(shown: Shown) -> None:
 
 def test_parameters_are_no_points_of_the_same_name(shown: Shown) -> None:
     finding = Finding("prior-contradicted", "doubtful", "cam K1", {"camera": "cam", "parameter": "P1"})
-    told = concerns.concerns([finding], shown)
+    told = overview.concerns([finding], shown)
     assert told["points"] == []
     assert told["parameters"] == [["cam", "K1"], ["cam", "P1"]]
 

@@ -14,9 +14,8 @@ import pytest
 from PIL import Image
 
 from photocal.base.web import Address, serving
-from photocal.measurement.marking.scene import scene_of_folder, scene_of_project
 from photocal.measurement.marking.service import application
-from photocal.measurement.marking.store import MarkStore
+from photocal.measurement.marking.store import MarkStore, scene_of_folder, scene_of_project
 from photocal.project import read_project
 from tests.photocal.conftest import Answer
 from tests.photocal.measurement.marking.conftest import Survey

@@ -58,10 +58,10 @@ def test_ellipses_hold_the_spread_of_simulated_errors(flown: Survey) -> None:
     assert np.allclose(found.pixels[2], pixels.mean(axis=0), atol=0.3)
     outline = ellipse(found.covariance[2])
     assert outline is not None
-    turn = np.array([np.cos(outline.direction), np.sin(outline.direction)])
+    turn = np.array([np.cos(outline["direction"]), np.sin(outline["direction"])])
     along = (pixels - found.pixels[2]) @ turn
     across = (pixels - found.pixels[2]) @ [-turn[1], turn[0]]
-    inside = np.mean((along / outline.major) ** 2 + (across / outline.minor) ** 2 < 1)
+    inside = np.mean((along / outline["major"]) ** 2 + (across / outline["minor"]) ** 2 < 1)
     assert inside == pytest.approx(0.95, abs=0.012)
     assert pytest.approx(2.4477, abs=1e-4) == WITHIN_95
 
