@@ -309,7 +309,7 @@ class NetworkPlan:
         return next(iter(self.result.cameras.values()))
 
     def correlations(self) -> list[tuple[str, str, float]]:
-        """Correlations of camera parameters of at least `policy.strong_correlation`, the largest first."""
+        """Strong correlations of camera parameters, see the policy, the largest first."""
         names = self.camera.free
         r = self.camera.correlation_of(names)
         pairs = zip(*np.triu_indices(len(names), 1), strict=True)
