@@ -9,13 +9,14 @@ removals do: by 6 % in the middle, by a fifth at most, which is what fifteen gro
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.factored import camera_covariance_columns
-from photocal.adjustment.normal import values_of
+from photocal.adjustment.normal import RAYS_IN_PIECE, values_of
 from photocal.adjustment.score import followed_by
 from photocal.adjustment.sensitivity import along
 from photocal.base.arrays import Flags, Floats, Integers
@@ -62,14 +63,18 @@ def cameras_without(fitted: AdjustedNetwork, groups: list[Flags]) -> tuple[Float
     rays = _rays(fitted, group, steps, moved, information)
     pulls, held = _of_others(fitted, group, information @ steps, len(groups))
     starts = np.searchsorted(rays.group, np.arange(len(groups) + 1))
-    inverse, possible = at.normal.kept.inverse, np.zeros(len(groups), dtype=np.bool_)
-    for k in range(len(groups)):
-        pull, hold = _of_group(rays, slice(starts[k], starts[k + 1]), inverse)
-        left = information - hold - held[k]
-        possible[k] = np.linalg.eigvalsh(root.T @ left @ root)[0] > _LEFT_OF_CAMERA
-        if not possible[k]:
-            continue
-        change, first = np.linalg.solve(left, pull + pulls[k]), 0
+    inverse = at.normal.kept.inverse
+    # Few rays at a time, or groups by themselves.
+    together = max(1, len(groups) * RAYS_IN_PIECE // max(len(rays.group), 1))
+    for begin in range(0, len(groups), together):
+        part = slice(begin, min(begin + together, len(groups)))
+        pull, hold = _of_groups(rays, starts[part.start : part.stop + 1], inverse)
+        pulls[part] += pull
+        held[part] += hold
+    left = information - held
+    possible = np.linalg.eigvalsh(root.T @ left @ root)[:, 0] > _LEFT_OF_CAMERA
+    for k in np.flatnonzero(possible).tolist():
+        change, first = np.linalg.solve(left[k], pulls[k]), 0
         for camera, (active, own) in enumerate(of_cameras):
             values[k, camera, active] += change[first : first + len(own)]
             first += len(own)
@@ -95,18 +100,21 @@ def _rays(fitted: AdjustedNetwork, group: Integers, steps: Floats, moved: Floats
     )
 
 
-def _of_group(rays: _Rays, own: slice, inverse: Floats) -> tuple[Floats, Floats]:
-    """X'Dv and X'DX of the rays of one group.
+def _of_groups(rays: _Rays, starts: Integers, inverse: Floats) -> tuple[Floats, Floats]:
+    """X'Dv and X'DX of the rays of some groups that follow each other, (groups, k) and (groups, k, k).
 
+    starts (groups + 1,): where the rays of each begin.
     inverse (points, 3, 3): of each point's own normal matrix; zero where it is not eliminated.
     """
-    point, x, v = rays.point[own], rays.by_camera[own], rays.residual[own]
-    weighted = rays.weight[own][:, :, None]
-    flat = (weighted * x).reshape(-1, x.shape[2])
-    pull, hold = flat.T @ v.ravel(), flat.T @ x.reshape(flat.shape)
+    own, count = slice(starts[0], starts[-1]), rays.by_camera.shape[2]
+    group, point, x, v = rays.group[own], rays.point[own], rays.by_camera[own], rays.residual[own]
+    pull, hold = np.zeros((len(starts) - 1, count)), np.zeros((len(starts) - 1, count, count))
     if not len(point):
         return pull, hold
-    first = np.flatnonzero(np.append(True, point[1:] != point[:-1]))
+    weighted = rays.weight[own][:, :, None]
+    flat = weighted * x
+    new = (point[1:] != point[:-1]) | (group[1:] != group[:-1])
+    first = np.flatnonzero(np.append(True, new))
     by_point = np.swapaxes(weighted * rays.by_point[own], 1, 2)
     with_all = np.concatenate([rays.by_point[own], x, v[:, :, None]], axis=2)
     sums = np.add.reduceat(by_point @ with_all, first, axis=0)
@@ -128,9 +136,17 @@ def _of_group(rays: _Rays, own: slice, inverse: Floats) -> tuple[Floats, Floats]
     turned = np.swapaxes(root, 1, 2)
     by_camera, by_residual = turned @ by_camera, np.einsum("pab,pb->pa", turned, by_residual)
     scaled = gain @ by_camera
-    count = x.shape[2]
-    pull = pull + np.einsum("pak,pa->k", scaled, by_residual)
-    return pull, hold + scaled.reshape(-1, count).T @ by_camera.reshape(-1, count)
+    ends = starts - starts[0]
+    for k, (begin, end) in enumerate(pairwise(ends.tolist())):
+        of_points = slice(*np.searchsorted(first, (begin, end)))
+        for factor, other, right in (
+            (flat[begin:end], x[begin:end], v[begin:end]),
+            (scaled[of_points], by_camera[of_points], by_residual[of_points]),
+        ):
+            transposed = factor.reshape(-1, count).T
+            pull[k] += transposed @ right.ravel()
+            hold[k] += transposed @ other.reshape(-1, count)
+    return pull, hold
 
 
 def _of_others(fitted: AdjustedNetwork, group: Integers, steps: Floats, groups: int) -> tuple[Floats, Floats]:

@@ -120,10 +120,13 @@ def body_to_camera(mounting: Mounting, values: Floats) -> Floats:
 
 
 def antennas(
-    positions: Positions, mounting: Mounting, values: Floats, rotation: Floats, centre: Floats
+    positions: Positions, matrix: Floats, values: Floats, rotation: Floats, centre: Floats
 ) -> Floats:
-    """Where the antenna was by the poses of the images and the common values, shape (n, 3), object frame."""
-    arm = body_to_camera(mounting, values) @ values[LEVER]
+    """Where the antenna was by the poses of the images and the common values, shape (n, 3), object frame.
+
+    matrix (3, 3): of `body_to_camera` with these values.
+    """
+    arm = matrix @ values[LEVER]
     of_strip = values[(STRIPS + 6 * positions.strip)[:, None] + np.arange(6)]
     shift, drift = of_strip[:, :3], of_strip[:, 3:]
     to_object = np.swapaxes(rotation[positions.image], 1, 2)
@@ -135,7 +138,7 @@ def antennas(
 
 def position_equations(
     positions: Positions,
-    mounting: Mounting,
+    matrix: Floats,
     values: Floats,
     rotation: Floats,
     centre: Floats,
@@ -143,13 +146,12 @@ def position_equations(
     basis: Floats,
     common_columns: Integers,
 ) -> Equations:
-    """Linearise the antenna positions."""
+    """Linearise the antenna positions; matrix as in `antennas`."""
     image, n = positions.image, len(positions.image)
-    matrix = body_to_camera(mounting, values)
     arm = matrix @ values[LEVER]
     to_object = np.swapaxes(rotation[image], 1, 2)
     at = (STRIPS + 6 * positions.strip)[:, None] + np.arange(6)
-    computed = antennas(positions, mounting, values, rotation, centre)
+    computed = antennas(positions, matrix, values, rotation, centre)
     eye = np.broadcast_to(np.eye(3), (n, 3, 3))
     turned_arm = to_object @ skew(arm)
     parts = [(image_columns[image, :3], turned_arm @ basis[image]), (image_columns[image, 3:], eye)]
@@ -175,7 +177,7 @@ def position_equations(
 
 def attitude_equations(
     attitudes: Attitudes,
-    mounting: Mounting,
+    matrix: Floats,
     values: Floats,
     rotation: Floats,
     image_columns: Integers,
@@ -186,7 +188,6 @@ def attitude_equations(
     image, n = attitudes.image, len(attitudes.image)
     if not n:
         return NO_EQUATIONS
-    matrix = body_to_camera(mounting, values)
     turned_back = rotation[image] @ np.swapaxes(matrix @ attitudes.rotation, 1, 2)
     residual = Rotation.from_matrix(turned_back).as_rotvec()
     to_body = matrix.T

@@ -4,7 +4,13 @@ import numpy as np
 
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.layout import Layout
-from photocal.adjustment.mounting import attitude_equations, common_equations, position_equations
+from photocal.adjustment.mounting import (
+    NO_EQUATIONS,
+    attitude_equations,
+    body_to_camera,
+    common_equations,
+    position_equations,
+)
 from photocal.adjustment.network import ANGLES, RELATIONS, Network, own_parameters, own_sigma
 from photocal.adjustment.rig import rig_equations
 from photocal.adjustment.state import State, head_values, turn_basis
@@ -68,8 +74,9 @@ def deviation_equations(network: Network, layout: Layout, state: State) -> dict[
 def exposure_equations(network: Network, layout: Layout, state: State) -> Equations:
     """Exterior orientation elements as observations, where they have a sigma."""
     sigma = network.exposures.sigma
-    weighted = np.isfinite(sigma) & (sigma > 0)
-    image, which = np.nonzero(weighted)
+    image, which = np.nonzero(np.isfinite(sigma) & (sigma > 0))
+    if not len(image):
+        return NO_EQUATIONS
     turning = which < 3
     angles = angles_from_matrix(state.rotation)
     current = np.hstack([angles, state.centre])
@@ -142,12 +149,13 @@ def mounting_equations(network: Network, layout: Layout, state: State) -> dict[s
         result["head"] = common_equations(rig.values.ravel(), rig.sigma.ravel(), heads.ravel(), head_columns)
     if not mounted:
         return result
+    matrix = body_to_camera(mounting, state.common)
     return result | {
         "position": position_equations(
-            network.positions, mounting, state.common, state.rotation, state.centre, columns, basis, common
+            network.positions, matrix, state.common, state.rotation, state.centre, columns, basis, common
         ),
         "attitude": attitude_equations(
-            network.attitudes, mounting, state.common, state.rotation, columns, basis, common
+            network.attitudes, matrix, state.common, state.rotation, columns, basis, common
         ),
         "mounting": common_equations(
             mounting.values, mounting.sigma, state.common[:of_mounting], common[:of_mounting]

@@ -17,14 +17,15 @@ def matrix_from_angles(angles: Floats) -> Floats:
     angles (..., 3): omega, phi, kappa in radians.
     returns (..., 3, 3): M = R3(kappa) R2(phi) R1(omega), passive (Kraus 2007, eq. 2.1-13 transposed).
     """
-    so, sp, sk = np.moveaxis(np.sin(angles), -1, 0)
-    co, cp, ck = np.moveaxis(np.cos(angles), -1, 0)
-    rows = [
-        [cp * ck, co * sk + so * sp * ck, so * sk - co * sp * ck],
-        [-cp * sk, co * ck - so * sp * sk, so * ck + co * sp * sk],
-        [sp, -so * cp, co * cp],
+    so, sp, sk = np.sin(angles).T
+    co, cp, ck = np.cos(angles).T
+    columns = [
+        [cp * ck, -cp * sk, sp],
+        [co * sk + so * sp * ck, co * ck - so * sp * sk, -so * cp],
+        [so * sk - co * sp * ck, so * ck + co * sp * sk, co * cp],
     ]
-    return np.moveaxis(np.array(rows, dtype=float), (0, 1), (-2, -1))
+    # Turned over as a whole, as in `skew`.
+    return np.array(columns, dtype=float).T
 
 
 def angles_from_matrix(matrix: Floats) -> Floats:

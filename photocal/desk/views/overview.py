@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from photocal.adjustment.ellipses import ellipses, ellipsoids
-from photocal.adjustment.mounting import BORESIGHT, antennas
+from photocal.adjustment.mounting import BORESIGHT, antennas, body_to_camera
 from photocal.base.arrays import Floats, Integers
 from photocal.base.policy import policy
 from photocal.block.model import ROLES
@@ -133,7 +133,7 @@ def position_residuals(shown: Shown) -> tuple[Floats, Floats, Integers]:
     values[BORESIGHT] = np.radians(values[BORESIGHT])
     poses = shown.images.rotation[image], shown.images.station[image]
     each = replace(observed, image=np.arange(len(image)))
-    computed = antennas(each, block.mounting, values, *poses)
+    computed = antennas(each, body_to_camera(block.mounting, values), values, *poses)
     residual[image] = computed - observed.values
     sigma[image] = np.sqrt(np.diagonal(observed.covariance, axis1=1, axis2=2))
     strip[image] = observed.strip
