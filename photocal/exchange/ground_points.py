@@ -11,8 +11,9 @@ OpenDroneMap documentation, "Ground control points" and "Image geolocation files
 """
 
 import re
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ _CAMERA_TO_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 # The list says nothing of how well a mark is placed.
 _SIGMA_PX = (1.0, 1.0)
+_PICTURE = re.compile(r"(?i)\.(jpe?g|tiff?|png|dng)$")
 Places = Mapping[str, Sequence[float]]
 
 
@@ -70,7 +72,34 @@ def read_gcp_rows(path: Path) -> tuple[str, tuple[GcpRow, ...], tuple[InputMalfo
             if refused
             else InputMalformedError("has no row of a ground point", "is the file cut?", where=path)
         )
-    return system, tuple(rows), tuple(refused)
+    return system, _told_apart(_in_order(rows)), tuple(refused)
+
+
+def _in_order(rows: Sequence[GcpRow]) -> Sequence[GcpRow]:
+    """Rows whose images have their names, where a list has point before image throughout."""
+    turned = []
+    for row in rows:
+        point, _, image = (row.image, "", row.name) if row.name else row.image.rpartition(" ")
+        if not point or _PICTURE.search(point) or not _PICTURE.search(image):
+            return rows
+        turned.append(replace(row, image=image, name=point))
+    # Words that begin the name of every picture are no points.
+    points = {(row.name, row.xyz) for row in turned}
+    alike = len(points) == len({name for name, _ in points}) == len({xyz for _, xyz in points})
+    return turned if alike else rows
+
+
+def _told_apart(rows: Sequence[GcpRow]) -> tuple[GcpRow, ...]:
+    """Rows by the whole names of their points where the first word is that of several places."""
+    whole = [" ".join(_cells(row.line.text)[6:]) for row in rows]
+    places, names = defaultdict[str, set[object]](set), defaultdict[str, set[str]](set)
+    for row, name in zip(rows, whole, strict=True):
+        places[row.name].add(row.xyz)
+        names[row.name].add(name)
+    several = {name for name in names if name and len(names[name]) > 1 and len(places[name]) > 1}
+    return tuple(
+        replace(row, name=name) if row.name in several else row for row, name in zip(rows, whole, strict=True)
+    )
 
 
 def read_gcp_list(
@@ -109,10 +138,18 @@ def _row(line: Line) -> GcpRow:
 
 
 def _cells(text: str) -> list[str]:
-    """Cells between blanks, semicolons, or commas; a comma may be decimal where no point is."""
-    if len(text.split()) == 1 and ";" not in text:
-        return text.split(",")
-    cells = text.replace(";", " ").split()
+    """Cells between tabs, blanks, semicolons, or commas; a comma may be decimal where no point is.
+
+    Names may have blanks: between tabs or semicolons any, else those of pictures with an ending.
+    """
+    image, words = 5, text.split()
+    commas = text.count(", ") >= image or any(word.count(",") > 1 for word in words)
+    between = next((mark for mark in "\t;" if text.count(mark) >= image), "," if commas else None)
+    cells = text.replace(";", " ").split() if between is None else list(map(str.strip, text.split(between)))
+    cells = [cell.strip("\"'") for cell in cells]
+    if between is None and len(cells) > image:
+        end = next((k for k in range(image, len(cells)) if _PICTURE.search(cells[k])), image)
+        cells[image : end + 1] = [" ".join(cells[image : end + 1])]
     if any("." in cell for cell in cells[:5]):
         return cells
     return [*(cell.replace(",", ".") for cell in cells[:5]), *cells[5:]]
@@ -231,6 +268,8 @@ def _odm_system(text: str) -> str:
     zone = re.fullmatch(r"WGS ?84 UTM (?:ZONE )?(\d+) ?([NS])", first.upper())
     if zone:
         return f"EPSG:{32600 + 100 * (zone[2] == 'S') + int(zone[1])}"
+    if code := re.fullmatch(r"EPSG[ :=]*(\d{4,6})( ?;.*)?", first.upper()):
+        return f"EPSG:{code[1]}"
     return "EPSG:4326" if re.fullmatch(r"WGS84( LONGLAT| LATLONG)?", first.upper()) else first
 
 

@@ -254,8 +254,8 @@ def _offset(folder: Path, names: Sequence[str], local: Floats) -> tuple[Floats, 
     if path is not None:
         text = " ".join(line.text for line in read_lines(path))
         # Commas between numbers; within one where no point stands.
-        cells = text if "." not in text and text.count(",") == 3 else text.replace(",", " ")
-        return np.array(numbers(cells, path, "offset", 3)), []
+        text = text if "." not in text and text.count(",") == 3 else text.replace(",", " ")
+        return np.array(numbers(text, path, "offset", 3)), []
     image_of, apart = in_order(names), list[Floats]()
     for line in read_lines(table) if table is not None else ():
         image, *values = line.text.rsplit(None, 6)

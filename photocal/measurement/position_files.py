@@ -39,9 +39,14 @@ _HEIGHT = (
     "z", "h", "height", "elevation", "altitude", "alt", "elev", "cota", "elevação", "altura",
     "ellipsoidal height", "ellipsoidal_height", "orthometric height", "altitude elipsoidal",
 )  # fmt: skip
+_METRES = {
+    "X": ("x", "e", "east", "easting", "este", "leste"),
+    "Y": ("y", "n", "north", "northing", "norte"),
+}
+_DEGREES = {"X": _LONGITUDE, "Y": _LATITUDE}
 PLACE_HEADS = {
-    "X": ("x", "e", "east", "easting", "este", "leste", *_LONGITUDE),
-    "Y": ("y", "n", "north", "northing", "norte", *_LATITUDE),
+    "X": (*_METRES["X"], *_LONGITUDE),
+    "Y": (*_METRES["Y"], *_LATITUDE),
     "Z": _HEIGHT,
     "sX": ("sx", "se", "sigma_x", "sigma_e", "accuracy_x"),
     "sY": ("sy", "sn", "sigma_y", "sigma_n", "accuracy_y"),
@@ -121,22 +126,25 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
     else:
         try:
             heads = {"image": (*IMAGE_HEADS, "label", "name", "nome"), **PLACE_HEADS}
-            table = read_under(path, heads, ("image", *"XYZ"))
+            # Nothing names the system of eastings that stand beside them.
+            degrees = _has(path, _DEGREES)
+            table = read_under(path, heads | (_DEGREES if degrees else {}), ("image", *"XYZ"))
         except PhotocalError:
             crs, images = read_geo(path)
             # Of the plane and of the height.
             listed = {name: (*row[:3], row[6], *row[6:]) for name, row in images.items()}
         else:
-            crs = "EPSG:4326" if in_degrees(path) else ""
+            crs = "EPSG:4326" if degrees else ""
             values = np.hstack([table.matrix("XYZ"), table.matrix(("sX", "sY", "sZ"), empty=np.nan)])
             listed = dict(zip(table.unique_names("image"), map(tuple, values.tolist()), strict=True))
         places = _in_degrees(crs, listed, path)
+    given = _given(places, path, names)
     values = np.array(list(places.values())).reshape(-1, 6)
     lines, none = tuple(f"picture {name}" for name in places), np.full(len(places), -1)
     _require_credible(
         ListedPositions(lines, np.full(len(places), np.nan), values[:, [1, 0, 2]], values[:, 3:], none), path
     )
-    return _given(places, path, names)
+    return given
 
 
 def _require_credible(listed: ListedPositions, path: Path) -> None:
@@ -164,9 +172,13 @@ def _given(places: dict[str, _Place], path: Path, names: Sequence[str]) -> Given
 
 
 def in_degrees(path: Path) -> bool:
-    """Whether the heads of a table say that its places are longitudes and latitudes."""
-    table = read_under(path, {"X": _LONGITUDE, "Y": _LATITUDE}, ())
-    return table.has("X") and table.has("Y")
+    """Whether the heads of a table say that its places are longitudes and latitudes, and nothing else."""
+    return _has(path, _DEGREES) and not _has(path, _METRES)
+
+
+def _has(path: Path, heads: Mapping[str, Sequence[str]]) -> bool:
+    table = read_under(path, heads, ())
+    return all(map(table.has, heads))
 
 
 def _of(name: str, places: Mapping[str, _Place]) -> _Place | None:

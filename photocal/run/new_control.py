@@ -2,11 +2,12 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
+from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.base.policy import policy
 from photocal.block.model import NO_POINTS, ObjectPoints
@@ -27,7 +28,7 @@ from photocal.measurement.mark_frames import (
 from photocal.measurement.marks import ControlMarks, in_map_system, named_after
 from photocal.measurement.position_files import map_places
 from photocal.run.folder_survey import ControlFile
-from photocal.run.project_checks import FREED, unfit
+from photocal.run.project_checks import FAR_FROM_PICTURES_M, FREED, check_place, unfit
 
 HEIGHTS = ("ellipsoidal", "orthometric", "local")
 
@@ -108,6 +109,7 @@ def settle(
     _with_system(made, "" if given is None else given.crs, placed, placeable=placeable)
     _with_heights(made, placed, matters=matters, flown=flown)
     if made.points.names:
+        _with_place(made, given, placed)
         strays = stray_points(made.points, made.crs)
         made.doubtful += [f"control point {stray.said()}" for stray in strays]
         gone = {stray.row for stray in strays}
@@ -121,6 +123,19 @@ def settle(
             )
     made.doubtful += [f"not used: {line}" for line in made.refused]
     return made
+
+
+def _with_place(made: NewControl, given: ControlFile | None, placed: Sequence[ImageFacts]) -> None:
+    """Name the slip of all points where they contradict the places of the pictures, which stops a run."""
+    if not placed or given is None:
+        return
+    place = (*_middle(placed), "the pictures' positions", FAR_FROM_PICTURES_M)
+    try:
+        check_place(made.crs or zone_of(placed), made.points, (given.file, Path("project.toml")), place)
+    except ConfigurationError as slip:
+        # Where the system is still asked for it may be any.
+        if made.crs or not slip.what.startswith("the control points lie"):
+            made.doubtful.append(str(slip))
 
 
 def _with_marks(
@@ -221,11 +236,13 @@ def _with_system(made: NewControl, written: str, placed: Sequence[ImageFacts], *
             made.crs = text or "local"
     elif text:
         made.crs = _resolved(made, text, placed, placeable=placeable)
+    elif placed and _turned(points.values[:, :2], placed) is not None:
+        made.crs = _resolved(made, "EPSG:4326", placed, placeable=placeable)
     elif placed:
         made.crs = _system_of(points, placed)
         if not made.crs:
             offers = at_place(*_middle(placed), points.values[:, :2])
-            example = ' ("EPSG:31982")'
+            example = f' (such as "{zone_of(placed)}")'
             made.asked.append(f'crs: the system of the control points{_offered(offers, example)}, or "local"')
     elif placeable:
         made.asked.append('crs: the system of the control points ("EPSG:31982"), or "local"')
@@ -249,8 +266,12 @@ def _resolved(made: NewControl, text: str, placed: Sequence[ImageFacts], *, plac
     except CRSError:
         system = None
     if system is not None and (not system.is_geographic or degrees):
+        points = made.points
+        if system.is_geographic and placed and _turned(xy, placed):
+            points = replace(points, values=points.values[:, [1, 0, 2]])
+            made.known.append("control: latitude stands before longitude, as the pictures' positions show")
         try:
-            moved = in_map_system(ControlMarks(text, made.points, ())) if len(xy) else None
+            moved = in_map_system(ControlMarks(text, points, ())) if len(xy) else None
         except PhotocalError as refusal:
             made.asked.append(f"crs: {refusal}")
             return ""
@@ -371,6 +392,17 @@ def _with_geoid(made: NewControl, placed: Sequence[ImageFacts]) -> None:
 def _middle(placed: Sequence[ImageFacts]) -> tuple[float, float]:
     latitude, longitude = np.median([(image.latitude_deg, image.longitude_deg) for image in placed], axis=0)
     return float(latitude), float(longitude)
+
+
+def _turned(places: Floats, placed: Sequence[ImageFacts]) -> bool | None:
+    """Whether degrees near the pictures have latitude first; None for what is not near either way."""
+    # A site is narrower, deg.
+    near_deg = 0.2
+    latitude, longitude = _middle(placed)
+    away = [
+        np.abs(np.median(places, axis=0) - at).max() for at in ((longitude, latitude), (latitude, longitude))
+    ]
+    return None if min(away) > near_deg else away[1] < away[0]
 
 
 def zone_of(placed: Sequence[ImageFacts]) -> str:

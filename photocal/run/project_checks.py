@@ -57,7 +57,7 @@ def check_project(project: Project) -> None:
     control = control_points(project)
     _check_heights(project, control)
     if place is not None:
-        _check_place(project, control, *place)
+        check_place(project.crs, control, (project.control.points, project.path), place)
     if project.crs != "local" and len(control.names):
         _check_frame(project, control, place)
     _check_inputs(project)
@@ -202,47 +202,49 @@ def _check_heights(project: Project, control: ObjectPoints) -> None:
     )
 
 
-def _check_place(
-    project: Project, control: ObjectPoints, latitude: float, longitude: float, what: str, far: float
-) -> None:
-    """Control in its system against a place that is known in degrees."""
-    if project.crs == "local" or not len(control.names):
+def check_place(crs: str, control: ObjectPoints, files: tuple[Path | None, Path], place: Place) -> None:
+    """Complain of control in its system that contradicts a place that is known in degrees.
+
+    files: that of the control, and that of the system.
+    """
+    if crs == "local" or not len(control.names):
         return
+    latitude, longitude, what, far = place
     known = np.isfinite(control.values[:, :2]).all(axis=1)
-    stated = np.where(known, _away(latitude, longitude, project.crs, control.values[:, :2]), 0.0)
+    stated = np.where(known, _away(latitude, longitude, crs, control.values[:, :2]), 0.0)
     off = stated > far
     # A few that are wrong are left out by name; the others place the block.
     if off.sum() <= SOME_WRONG * known.sum():
         return
-    places, table, file = control.values[off, :2], project.control.points, project.path
+    places, (table, file) = control.values[off, :2], files
     which = [name for name, wrong in zip(control.names, off, strict=True) if wrong]
     points = "the control points" if off[known].all() else f"control points {', '.join(which)}"
     tried: list[tuple[str, Path | None, float, float, str, Floats]] = [
-        (f"E and N of {points} are exchanged", table, latitude, longitude, project.crs, places[:, ::-1])
+        (f"E and N of {points} are exchanged", table, latitude, longitude, crs, places[:, ::-1])
     ]
     wrong = ConfigurationError.at(table)
     if (np.abs(places) <= (180, 90)).all():
         raise wrong(
             f"{points} are in degrees, crs is in metres",
-            f"take them to {project.crs}, or let photocal new do it",
+            f"take them to {crs}, or let photocal new do it",
         )
     for unit, factor in _UNITS.items():
-        tried.append((f"{points} are in {unit}", table, latitude, longitude, project.crs, places * factor))
+        tried.append((f"{points} are in {unit}", table, latitude, longitude, crs, places * factor))
     if abs(longitude) <= 90:
         cause = f"latitude and longitude of {what} are exchanged"
-        tried.append((cause, file, longitude, latitude, project.crs, places))
+        tried.append((cause, file, longitude, latitude, crs, places))
     for word, north, east in (
         ("latitude", -1.0, 1.0),
         ("longitude", 1.0, -1.0),
         ("latitude and longitude", -1.0, -1.0),
     ):
         cause = f"the sign of the {word} of {what} is wrong"
-        tried.append((cause, file, north * latitude, east * longitude, project.crs, places))
-    for crs in _neighbours(project.crs, latitude, longitude):
-        cause = f"crs = {project.crs!r} is not the zone of {points}: that is {crs}"
-        tried.append((cause, file, latitude, longitude, crs, places))
-    for cause, where, north, east, crs, place in tried:
-        if (where is table or off[known].all()) and (_away(north, east, crs, place) <= far).all():
+        tried.append((cause, file, north * latitude, east * longitude, crs, places))
+    for zone in _neighbours(crs, latitude, longitude):
+        cause = f"crs = {crs!r} is not the zone of {points}: that is {zone}"
+        tried.append((cause, file, latitude, longitude, zone, places))
+    for cause, where, north, east, system, there in tried:
+        if (where is table or off[known].all()) and (_away(north, east, system, there) <= far).all():
             raise ConfigurationError(cause, f"then they fit {what}: correct it", where=where)
     # Single slips of the pen are named beside the others' residuals.
     if (usual := np.median(stated[known])) > far:

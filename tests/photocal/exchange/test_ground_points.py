@@ -123,6 +123,8 @@ def test_heads_of_lists_of_real_flights(tmp_path: Path, head: str, crs: str) -> 
         "1,5 2,5 3 10 20 a.jpg p",
         "1,5;2,5;3;10;20;a.jpg;p",
         "1.5,2.5,3,10,20,a.jpg,p",
+        "1.5, 2.5, 3, 10, 20, a.jpg, p",
+        '1.5 2.5 3 10 20 "a.jpg" "p"',
     ],
 )
 def test_separators_of_gcp_lists(tmp_path: Path, row: str) -> None:
@@ -131,6 +133,37 @@ def test_separators_of_gcp_lists(tmp_path: Path, row: str) -> None:
     _, places, (mark,) = read_gcp_list(path)
     assert places == {"p": (1.5, 2.5, 3)}
     assert (mark.x, mark.y, mark.image, mark.point) == (10, 20, "a.jpg", "p")
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        "{x}.5\t2.5\t3\t10\t20\tIMG {n}.JPG\tGCP {x}",
+        "{x},5;2,5;3;10;20;IMG {n}.JPG;GCP {x}",
+        "{x}.5,2.5,3,10,20,IMG {n}.JPG,GCP {x}",
+        "{x}.5 2.5 3 10 20 IMG {n}.JPG GCP {x}",
+        "{x}.5\t2.5\t3\t10\t20\tGCP {x}\tIMG {n}.JPG",
+        "{x}.5 2.5 3 10 20 GCP {x} IMG {n}.JPG",
+    ],
+)
+def test_names_with_blanks_in_typed_lists(tmp_path: Path, row: str) -> None:
+    """Of pictures and points, and in either order where the endings of the pictures tell."""
+    path = tmp_path / "gcp_list.txt"
+    rows = [row.format(x=x, n=n) for x in range(2) for n in range(2)]
+    path.write_text("\n".join(["EPSG:32722", *rows]) + "\n")
+    if "GCP {x} IMG" in row:
+        # Between blanks alone nothing tells where the point ends.
+        path.write_text(path.read_text().replace("GCP ", "GCP").replace("IMG ", "IMG"))
+    _, read, _ = read_gcp_rows(path)
+    assert [(r.name.replace(" ", ""), r.image.replace(" ", "")) for r in read] == [
+        (f"GCP{x}", f"IMG{n}.JPG") for x in range(2) for n in range(2)
+    ]
+
+
+@pytest.mark.parametrize("head", ["EPSG 32722", "epsg:32722", "EPSG=32722", "EPSG:32722 ; metres"])
+def test_codes_as_people_type_them(tmp_path: Path, head: str) -> None:
+    (tmp_path / "gcp_list.txt").write_text(f"{head}\n1 2 3 4 5 a.jpg p\n")
+    assert read_gcp_rows(tmp_path / "gcp_list.txt")[0] == "EPSG:32722"
 
 
 @pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])

@@ -1,0 +1,124 @@
+"""A control list beside pictures with positions: a slip of all its points is named by `photocal new`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+from pyproj import Transformer
+
+from photocal.run.new_project import new_project
+
+Place = tuple[float, float, float]
+# Around a village of Austria, deg and m; pictures 50 m above.
+POINTS: tuple[Place, ...] = (
+    (16.47592, 47.64350, 463.7),
+    (16.47619, 47.64347, 461.7),
+    (16.47599, 47.64330, 461.5),
+    (16.47604, 47.64313, 460.2),
+)
+_UTM = Transformer.from_crs("EPSG:4326", "EPSG:32633", always_xy=True)
+
+
+def utm(place: Place) -> Place:
+    east, north = _UTM.transform(*place[:2])
+    return east, north, place[2]
+
+
+def folder_of(folder: Path, system: str, written: Callable[[Place], Place], table: str = "") -> Path:
+    """Write pictures and a list; each point is marked in two of the pictures."""
+    names = []
+    for k, (longitude, latitude, height) in enumerate(POINTS):
+        exif = Image.Exif()
+        exif[271], exif[272] = "Autel Robotics", "XT705"
+        exif.get_ifd(0x8769).update({37386: IFDRational(1057, 100), 41989: 29})
+        degrees = {2: latitude, 4: longitude}
+        exif.get_ifd(0x8825).update(
+            {1: "N", 3: "E", 5: b"\0", 6: IFDRational(round(10 * (height + 50)), 10)}
+            | {key: (int(v), 0, IFDRational(round(v % 1 * 3.6e7), 10_000)) for key, v in degrees.items()}
+        )
+        names.append(f"MAX_{k:04d}.JPG")
+        Image.new("L", (64, 48), 120).save(folder / names[-1], exif=exif)
+    rows = [
+        "{:.8f}\t{:.8f}\t{:.8f}".format(*written(place)) + f"\t{20 + k}\t{10 + n}\t{names[n]}\tGCP {k}"
+        for k, place in enumerate(POINTS)
+        for n in (k, k - 1)
+    ]
+    (folder / "gcp_list.txt").write_text("\n".join([system, *rows] if system else rows) + "\n")
+    if table:
+        (folder / "coordinates.csv").write_text(table)
+    return folder
+
+
+def swapped(place: Place) -> Place:
+    return place[1], place[0], place[2]
+
+
+def in_feet(place: Place) -> Place:
+    east, north, height = (value / 0.3048 for value in utm(place))
+    return east, north, height
+
+
+@pytest.mark.parametrize(
+    ("system", "written"),
+    [
+        ("EPSG:32633", utm),
+        ("", utm),
+        ("EPSG:4326", lambda place: place),
+        ("", lambda place: place),
+        ("EPSG:4326", swapped),
+        ("", swapped),
+    ],
+    ids=["map", "map without its system", "degrees", "degrees alone", "latitude first", "both"],
+)
+def test_what_leaves_no_doubt_is_settled(
+    tmp_path: Path, system: str, written: Callable[[Place], Place]
+) -> None:
+    made = new_project(folder_of(tmp_path, system, written), height="ellipsoidal")
+    assert not made.asked
+    assert 'crs = "EPSG:32633"' in made.path.read_text()
+    assert (made.rows, made.rows_used) == (8, 8)
+    first = (tmp_path / "control.csv").read_text().splitlines()[1].split(",")
+    assert first[0] == "GCP 0"
+    assert [float(cell) for cell in first[1:4]] == pytest.approx(utm(POINTS[0]), abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("system", "written", "said"),
+    [
+        ("EPSG:32633", lambda place: swapped(utm(place)), "E and N of the control points are exchanged"),
+        ("", lambda place: swapped(utm(place)), "E and N of the control points are exchanged"),
+        ("EPSG:32633", in_feet, "the control points are in feet"),
+        ("EPSG:32632", utm, "is not the zone of the control points: that is EPSG:32633"),
+        ("EPSG:31982", utm, "is not the zone of the control points: that is EPSG:32633"),
+    ],
+    ids=["exchanged", "exchanged without a system", "feet", "zone", "country"],
+)
+def test_a_slip_of_all_points_is_named_before_any_run(
+    tmp_path: Path, system: str, written: Callable[[Place], Place], said: str
+) -> None:
+    made = new_project(folder_of(tmp_path, system, written), height="ellipsoidal")
+    assert any(said in line for line in made.doubtful)
+
+
+def test_a_table_of_control_is_no_list_of_positions(tmp_path: Path) -> None:
+    """A surveyor's table beside the list, in metres and degrees: its points are no pictures."""
+    rows = (f"{k};{utm(p)[0]:.2f};{utm(p)[1]:.2f};{p[2]};{p[0]};{p[1]}" for k, p in enumerate(POINTS))
+    table = "\n".join(["\ufeffName;Easting;Northing;Elevation;Longitude;Latitude", *rows])
+    made = new_project(folder_of(tmp_path, "EPSG:4326", lambda p: p, table), height="ellipsoidal")
+    assert "coordinates.csv" not in made.path.read_text()
+    assert not any("coordinates.csv" in line for line in made.missing)
+
+
+def test_metres_beside_degrees_are_control_in_the_zone(tmp_path: Path) -> None:
+    rows = (f"{k};{utm(p)[0]:.2f};{utm(p)[1]:.2f};{p[2]};{p[0]};{p[1]}" for k, p in enumerate(POINTS))
+    table = "\n".join(["Name;Easting;Northing;Elevation;Longitude;Latitude", *rows])
+    folder = folder_of(tmp_path, "", utm, table)
+    (folder / "gcp_list.txt").unlink()
+    made = new_project(folder, height="ellipsoidal")
+    assert 'crs = "EPSG:32633"' in made.path.read_text()
+    first = (tmp_path / "control.csv").read_text().splitlines()[1].split(",")
+    assert [float(cell) for cell in first[1:4]] == pytest.approx(utm(POINTS[0]), abs=0.01)
