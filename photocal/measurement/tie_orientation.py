@@ -97,7 +97,7 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
         )
         findings.append(Finding("block-not-placed", "doubtful"))
     model = _moved(model, move)
-    unreached = "its tie points do not orient it to the other images"
+    unreached = "its tie points do not orient it relative to the other images"
     reasons = np.where(model.oriented, "", unreached).astype(object)
     for more in models[1:]:
         added = more.oriented & ~model.oriented

@@ -85,7 +85,7 @@ def read_solution(path: Path) -> EngineSolution:
                 velocity[number] = [float(v) for v in row[columns : columns + 3]]
     except (ValueError, OverflowError) as cause:
         raise InputMalformedError(
-            f"is no position file with times as week and seconds ({cause})",
+            f"is not a position file with times as week and seconds ({cause})",
             "take one with GPS weeks and seconds (out-timeform = tow)",
             where=path,
         ) from cause

@@ -43,7 +43,7 @@ def frame_told(mark: str, text: str, epoch: float = math.nan) -> Realization | N
         told = known_realization(told.frame, epoch) or told
     if told is not None and told.moves and np.isnan(told.epoch):
         raise InputMalformedError(
-            f"mark {mark}: the ground moves in {told.frame}, so that coordinates in it need an epoch",
+            f"mark {mark}: coordinates in {told.frame} change with time and need an epoch",
             f'write frame = "{told.frame}@2026.9" with the epoch in years',
         )
     return told

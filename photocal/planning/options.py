@@ -80,7 +80,7 @@ class FlightOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class LimitOptions(Options):
-    """What a planned flight is held against: wind, radio, the class of its product, the camera's times."""
+    """What a planned flight is compared with: wind, radio, the class of its product, the camera's times."""
 
     wind: Annotated[
         str | None,

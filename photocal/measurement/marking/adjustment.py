@@ -125,7 +125,7 @@ def block_of_marks(
     ray &= held[seen.point]
     if not (ray & of_control).any():
         raise IllPosedError(
-            "no image has marks enough to be adjusted" + (f": {left_out[0]}" if left_out else ""),
+            "no image has enough marks for an adjustment" + (f": {left_out[0]}" if left_out else ""),
             "mark control points in more images",
         )
     return _only(whole, usable, held, ray), left_out
