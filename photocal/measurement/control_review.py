@@ -1,4 +1,4 @@
-"""Control as people type it, looked at before any work: twins, slips of single points, single marks."""
+"""Control as people type it, reviewed before any work: duplicates, blunders, single marks."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -55,7 +55,7 @@ class Stray:
 
 
 def stray_points(points: ObjectPoints, crs: str) -> tuple[Stray, ...]:
-    """Points far from where most of the others are, with the slip that would bring them there."""
+    """Points far from where most of the others are, with the typing error that would explain it."""
     places = points.values[:, :2]
     known = np.isfinite(places).all(axis=1) & ~points.of_role("tie")
     if known.sum() < 3:

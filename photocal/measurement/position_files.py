@@ -283,7 +283,7 @@ def shift_of_positions(frame: str, crs: str, facts: ImageFacts) -> FrameShift:
 
 
 def in_project(facts: ImageFacts, shift: FrameShift) -> ImageFacts:
-    """Facts of a picture with its position moved; the uncertainty of the way joins its sigmas."""
+    """Facts of a picture with its position moved; the uncertainty of the transformation enters its sigmas."""
     if not facts.has_position:
         return facts
     turn = enu_axes(facts.latitude_deg, facts.longitude_deg)

@@ -1,4 +1,4 @@
-"""Radiometry of a camera: MTF at a slanted edge, a Siemens star, vignetting to the corners, linearity."""
+"""Radiometry of a camera: MTF at a slanted edge, a Siemens star, vignetting, linearity."""
 
 import math
 from collections.abc import Iterable

@@ -247,7 +247,7 @@ def _together(model: Model, more: Model, added: Flags) -> Model:
 
 
 def position_sigmas(images: Images, values: Floats, *, shifted: bool) -> tuple[Floats, Floats, list[Finding]]:
-    """How well positions are borne out by images that were oriented without or with them.
+    """Standard deviations of positions, as images oriented without or with them show.
 
     images: with positions and the sigmas that were stated.
     values (images, 6): exterior orientations in the same frame; NaN where unknown.

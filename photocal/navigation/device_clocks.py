@@ -282,7 +282,7 @@ def autopilot_clock(boot_ns: Integers, utc_ns: Integers, host_ns: Integers) -> A
 
 
 def device_by_arrival(name: str, device_ns: Integers, host_ns: Integers) -> ComparedClocks | None:
-    """Fit a device's clock to that of the recording computer by arrivals, which are late by the way.
+    """Fit a device's clock to that of the recording computer by arrivals, which transmission delays.
 
     This way round an uneven playback keeps its stretches: the host's clock is the even one.
     """

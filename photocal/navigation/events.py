@@ -1,4 +1,4 @@
-"""Moments at which a camera exposed, by whoever noted them."""
+"""Moments at which a camera exposed, from every source that recorded them."""
 
 import json
 from dataclasses import dataclass, field, replace

@@ -15,7 +15,7 @@ from photocal.navigation.time import GpsTime
 
 @dataclass(frozen=True)
 class MovedMark:
-    """Where the coordinates of a mark count, and where they were taken to.
+    """Frame and epoch of a mark's coordinates, and those to which they were transformed.
 
     moved: None where they stay: nobody tells a frame, or nothing known leads to that of the survey.
     """
@@ -62,7 +62,7 @@ def frame_of_orbits(products: tuple[Path, ...]) -> Realization | None:
 def in_system(
     mark: GroundMark, source: Realization | None, crs: str | None, time: GpsTime | None = None
 ) -> tuple[GroundMark, MovedMark | None]:
-    """Take a mark from its frame to that of a system, with the uncertainty of the way.
+    """Transform a mark to the frame of a system, with the uncertainty of the transformation.
 
     time: of the observations, at whose epoch a precise position counts.
     returns: the mark, and what was done; None where nothing is to be done.

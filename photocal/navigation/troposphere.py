@@ -1,4 +1,4 @@
-"""What the engine's troposphere leaves over a difference in height: the moist, the warm and the thin air."""
+"""Tropospheric delay that the engine's model leaves between two heights: humidity, temperature, pressure."""
 
 from dataclasses import dataclass
 

@@ -103,7 +103,7 @@ def remarks(
     exposure_time_s: float | None,
     shortest_interval_s: float | None,
 ) -> tuple[Finding, ...]:
-    """Say what stands against a plan.
+    """State the objections to a plan.
 
     shortest_interval_s: shortest time between two photos that the camera manages, s.
     """

@@ -1,4 +1,4 @@
-"""Observed less adjusted camera positions, exposure by exposure: a table, a map for QGIS and a picture."""
+"""Observed minus adjusted camera positions, exposure by exposure: a table, a map for QGIS and a picture."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ _LAYER = Layer(
 
 @dataclass(frozen=True)
 class PositionDifferences:
-    """Observed less adjusted projection centres.
+    """Observed minus adjusted projection centres.
 
     names (n), station, d_m (n, 3): in the local frame, m.
     """

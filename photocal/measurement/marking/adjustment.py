@@ -1,4 +1,4 @@
-"""An adjustment of marks alone: it shows wrong marks while they can still be mended.
+"""An adjustment of marks alone: it shows wrong marks while they can still be corrected.
 
 Cameras are held, images keep what is known of their exterior orientation as observations. It is no
 substitute for the adjustment of the block, where tie points and free cameras take part.

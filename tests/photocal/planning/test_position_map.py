@@ -1,4 +1,4 @@
-"""Observed less adjusted camera positions: the formula, and files and words of `photocal flown`."""
+"""Observed minus adjusted camera positions: the formula, and files and words of `photocal flown`."""
 
 from __future__ import annotations
 
