@@ -31,7 +31,7 @@ COMMANDS = {
     ),
     "recover": Listed(
         "acquire.commands.flight_log:recover",
-        "Save every whole chunk of a flight log that was cut or damaged.",
+        "Save every intact chunk of a flight log that was truncated or damaged.",
     ),
     "replay": Listed(
         "acquire.commands.flight_log:replay",

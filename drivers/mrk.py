@@ -48,7 +48,7 @@ class MrkFramer(Framer):
             line_end = data.find(b"\n", at, at + longest_line)
             if line_end < 0 and len(data) - at < longest_line and not closed:
                 break
-            # What is longer than any event is no text: it is passed over piece by piece.
+            # What is longer than any event is not text: it is passed over piece by piece.
             end = line_end + 1 if line_end >= 0 else min(len(data), at + longest_line)
             if parse_event(data[at:end].decode("latin-1")) is not None:
                 rows.append((at, end - at, EVENT_KIND))

@@ -49,9 +49,11 @@ if TYPE_CHECKING:
     from photocal.navigation.trajectory import Trajectory
     from photocal.planning.area import area_from_corners, read_area
     from photocal.planning.flight import FlightRequest
+    from photocal.planning.network_file import plan_network
     from photocal.planning.options import FlightOptions, LimitOptions, MissionOptions, PrecisionOptions
     from photocal.planning.plan import Plan, plan, simulate_flights
-    from photocal.products.options import OrthoOptions, VolumeOptions
+    from photocal.products.contours import contours
+    from photocal.products.options import ContourOptions, OrthoOptions, VolumeOptions
     from photocal.products.ortho import ortho
     from photocal.products.volume import volume
     from photocal.project import Project
@@ -86,9 +88,11 @@ _ELSEWHERE = {
     "photocal.navigation.trajectory": ("Trajectory",),
     "photocal.planning.area": ("area_from_corners", "read_area"),
     "photocal.planning.flight": ("FlightRequest",),
+    "photocal.planning.network_file": ("plan_network",),
     "photocal.planning.options": ("FlightOptions", "LimitOptions", "MissionOptions", "PrecisionOptions"),
     "photocal.planning.plan": ("Plan", "plan", "simulate_flights"),
-    "photocal.products.options": ("OrthoOptions", "VolumeOptions"),
+    "photocal.products.contours": ("contours",),
+    "photocal.products.options": ("ContourOptions", "OrthoOptions", "VolumeOptions"),
     "photocal.products.ortho": ("ortho",),
     "photocal.products.volume": ("volume",),
     "photocal.project": ("Project",),
@@ -100,16 +104,17 @@ _MODULE_OF = {name: module for module, names in _ELSEWHERE.items() for name in n
 
 __all__ = [
     "Assessment", "Block", "BlockCheck", "Camera", "CertificateOptions", "Compared", "ConfigurationError",
-    "DeviceError", "Discrepancies", "ExposureOptions", "Exposures", "FTest", "Finding", "Findings",
-    "FlightLog", "FlightOptions", "FlightRequest", "IllPosedError", "Images", "InputMalformedError",
-    "InputNotFoundError", "JudgementOptions", "LimitOptions", "MeasureOptions", "MeasuredBlock",
-    "MissionOptions", "NotConvergedError", "ObjectPoints", "Observations", "OrientedImages", "OrthoOptions",
-    "Outcome", "OutputError", "PhotocalError", "Plan", "PpkOptions", "PrecisionOptions",
-    "ProgramMissingError", "Project", "Proposal", "ReceiverOptions", "Result", "StageResult", "Trajectory",
-    "VolumeOptions", "adjust", "analyse", "area_from_corners", "assess", "block_of_arrays", "camera",
-    "certificate", "check", "compare", "components", "exposures", "measure", "ortho", "plan", "ppk",
-    "read_area", "read_block", "read_cameras", "read_log", "read_result", "run_project", "significance",
-    "simulate_flights", "volume", "with_relations", "write_block", "write_cameras", "write_result",
+    "ContourOptions", "DeviceError", "Discrepancies", "ExposureOptions", "Exposures", "FTest", "Finding",
+    "Findings", "FlightLog", "FlightOptions", "FlightRequest", "IllPosedError", "Images",
+    "InputMalformedError", "InputNotFoundError", "JudgementOptions", "LimitOptions", "MeasureOptions",
+    "MeasuredBlock", "MissionOptions", "NotConvergedError", "ObjectPoints", "Observations",
+    "OrientedImages", "OrthoOptions", "Outcome", "OutputError", "PhotocalError", "Plan", "PpkOptions",
+    "PrecisionOptions", "ProgramMissingError", "Project", "Proposal", "ReceiverOptions", "Result",
+    "StageResult", "Trajectory", "VolumeOptions", "adjust", "analyse", "area_from_corners", "assess",
+    "block_of_arrays", "camera", "certificate", "check", "compare", "components", "contours", "exposures",
+    "measure", "ortho", "plan", "plan_network", "ppk", "read_area", "read_block", "read_cameras",
+    "read_log", "read_result", "run_project", "significance", "simulate_flights", "volume",
+    "with_relations", "write_block", "write_cameras", "write_result",
 ]  # fmt: skip
 
 # What a calibration estimates unless it is told otherwise.

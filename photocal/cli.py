@@ -78,7 +78,7 @@ COMMANDS = {
     ),
     "plan-network": Listed(
         "photocal.commands.plan:plan_network",
-        "Expect the precision of a close-range network before the photos are taken.",
+        "Predict the precision of a close-range network before the photos are taken.",
     ),
     "flown": Listed(
         "photocal.commands.plan:flown",

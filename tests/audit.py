@@ -31,7 +31,13 @@ FIT = re.compile(
     r"|LGPL|Lesser|HPND"
 )
 PLATFORMS = {
-    "Linux x86-64": ("manylinux_2_28_x86_64", "manylinux_2_17_x86_64", "manylinux2014_x86_64"),
+    # Named one by one, since pip takes no older tag for granted; 2_5 is that of wheels for any Linux.
+    "Linux x86-64": (
+        "manylinux_2_28_x86_64",
+        "manylinux_2_17_x86_64",
+        "manylinux2014_x86_64",
+        "manylinux_2_5_x86_64",
+    ),
     "Linux arm64": ("manylinux_2_28_aarch64", "manylinux_2_17_aarch64", "manylinux2014_aarch64"),
     "Windows": ("win_amd64",),
     "macOS arm64": ("macosx_14_0_arm64", "macosx_12_0_arm64", "macosx_11_0_arm64"),

@@ -29,13 +29,13 @@ EXPOSURE = JsonLayout(
         "time": {**TIME, "description": "UTC of the event; null when the device did not know"},
         "gps_time": {**TIME, "description": "of an edge, GPS time since 1980-01-06; null as `time`"},
         "time_base": words("of an edge: gnss, utc or receiver, its own; null when its time is none"),
-        "accuracy_ns": integer("accuracy that the device claims"),
-        "latitude_deg": number("position that the device claims"),
-        "longitude_deg": number("position that the device claims"),
-        "altitude_msl_m": number("height above mean sea level that the device claims"),
-        "roll_deg": number("attitude that the device claims"),
-        "pitch_deg": number("attitude that the device claims"),
-        "yaw_deg": number("attitude that the device claims"),
+        "accuracy_ns": integer("accuracy reported by the device"),
+        "latitude_deg": number("position reported by the device"),
+        "longitude_deg": number("position reported by the device"),
+        "altitude_msl_m": number("height above mean sea level reported by the device"),
+        "roll_deg": number("attitude reported by the device"),
+        "pitch_deg": number("attitude reported by the device"),
+        "yaw_deg": number("attitude reported by the device"),
     },
 )
 
@@ -45,11 +45,11 @@ CLOCK = JsonLayout(
     {
         **_SOURCE,
         "device": {**TIME, "description": "UTC by the device"},
-        "host_minus_device_s": number("clock of the host less clock of the device"),
+        "host_minus_device_s": number("clock of the host minus clock of the device"),
         "boot_s": number("time since the device started"),
         "gps_week": integer("GPS week"),
         "gps_seconds_of_week_s": number("GPS time of week"),
-        "leap_s": integer("GPS time less UTC, as the receiver reported it"),
+        "leap_s": integer("GPS time minus UTC, as the receiver reported it"),
         "round_trip_ns": integer("duration of a TIMESYNC exchange, host to device and back"),
     },
 )
@@ -89,9 +89,9 @@ GNSS_STATUS = JsonLayout(
         "fix": words("none, dead_reckoning, 2d, 3d, differential, rtk_float, rtk_fixed, time_only"),
         "satellites": integer("number used"),
         "hdop": number("horizontal dilution of precision"),
-        "horizontal_m": number("horizontal accuracy that the receiver claims"),
-        "vertical_m": number("vertical accuracy that the receiver claims"),
-        "correction_age_s": number("age of the corrections; of NAV-PVT at most so old, 120 for more"),
+        "horizontal_m": number("horizontal accuracy reported by the receiver"),
+        "vertical_m": number("vertical accuracy reported by the receiver"),
+        "correction_age_s": number("age of the corrections; NAV-PVT gives an upper limit, 120 for more"),
     },
 )
 

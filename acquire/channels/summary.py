@@ -73,8 +73,8 @@ def verdict(offset_s: Floats, ratio: float | None) -> str:
         return span
     factor, word = (ratio, "slower") if ratio > 1 else (1 / ratio, "faster")
     return (
-        f"the host clock ran {factor:.1f} times {word} than the autopilot's: times of receipt are not those "
-        f"of the flight, use the autopilot's times; {span}"
+        f"the host clock ran {factor:.1f} times {word} than the autopilot's: times of receipt are not flight "
+        f"times, use the autopilot's times; {span}"
     )
 
 

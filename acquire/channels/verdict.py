@@ -77,7 +77,7 @@ def verdict_on(figures: dict[str, Any], exposures: dict[str, int]) -> LogVerdict
     remarks += _of_damage(links.values())
     faultless = not remarks and figures["complete"]
     if not figures["complete"]:
-        remarks.append("the log ends early: acquire recover saves what is whole")
+        remarks.append("the log ends early: acquire recover saves its intact part")
     orbits = any(kind["type"] in _ORBITS for link in links.values() for kind in link["types"])
     return LogVerdict(
         faultless and bool(seen),
@@ -117,6 +117,6 @@ def _lacks_for_ppk(receivers: list[str], *, orbits: bool) -> tuple[str, ...]:
     lacks = (
         []
         if len(receivers) > 1
-        else [f"raw observations of {receivers[0]} only: give a base by its own file"]
+        else [f"raw observations of {receivers[0]} only: give the base as a file of its own"]
     )
     return (*lacks, *(() if orbits else ("no satellite orbits: give a navigation file",)))

@@ -81,7 +81,7 @@ def _named(text: str) -> tuple[str, Path]:
     name, separator, path = text.partition("=")
     if not separator or not path or not re.fullmatch(r"[A-Za-z0-9_-]+", name):
         raise ConfigurationError(
-            "a link is given as NAME=FILE, the name of letters, digits, _ and -",
+            "a link is given as NAME=FILE; its name has letters, digits, _ and -",
             "for example --link rover=rover.ubx",
             where=f"--link {text}",
         )
@@ -94,11 +94,9 @@ def _sentence(result: "Imported") -> str:
     if tally.damage_bytes:
         text += f"; {tally.damage_bytes} bytes in {tally.damage_runs} places belong to no valid frame"
     if result.packing_cut:
-        text += "; the packed file ends early, imported as far as it goes"
+        text += "; the compressed file ends early, imported up to there"
     if result.cut:
-        text += (
-            f"; the recording ends inside a frame ({result.cut} bytes of it): imported to the last whole one"
-        )
+        text += f"; the recording ends in a frame ({result.cut} bytes of it): imported up to the one before"
     return f"{text}; time: {result.log_time}"
 
 
@@ -118,11 +116,9 @@ def _text(summary: "LogSummary", *, types: bool) -> str:
     figures = summary.as_json()
     lines = [*summary.verdict().lines(), "", f"{figures['file']}: {figures['bytes']} bytes"]
     if not figures["complete"]:
-        lines.append("  ends early: this is what is whole in it; acquire recover repairs it")
+        lines.append("  ends early: only its intact part is shown; acquire recover repairs it")
         if every := figures["metadata"].get("recording", {}).get("flush_s"):
-            lines.append(
-                f"  made safe every {every} s: a cut of the power, too, costs that and the time of a flush"
-            )
+            lines.append(f"  flushed to disk every {every} s: a power cut loses that and the time of a flush")
     for link in figures["links"]:
         lines += ["", *_link(link, types=types)]
         notes = figures["metadata"].get(f"import {link['link']}")
@@ -203,7 +199,7 @@ def replay(
         },
         lambda: (
             f"sent {sent.frames} frames, {sent.size} bytes, recorded in {sent.recorded_s:.1f} s; "
-            + ("what the network lost is not known" if sent.lost is None else f"{sent.lost} lost")
+            + ("losses on the network are not known" if sent.lost is None else f"{sent.lost} lost")
         ),
     )
 
@@ -215,7 +211,7 @@ def recover(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Save every whole chunk of a flight log that was cut or damaged.
+    """Save every intact chunk of a flight log that was truncated or damaged.
 
     Example: `acquire recover flight.mcap -o repaired.mcap`
     """
@@ -224,7 +220,7 @@ def recover(
     target = output or log.with_suffix(".recovered.mcap")
     if target.resolve() == log.resolve():
         raise ConfigurationError(
-            "the repaired log would take the place of the damaged one", "name another", where=target
+            "the repaired log would overwrite the damaged one", "name another", where=target
         )
     result = repair(log, target)
     answer(
@@ -247,8 +243,8 @@ def _recovered(result: "Recovered", log: Path, target: Path) -> str:
         return f"{log} was whole, {target} is a copy: {result.messages} messages"
     lines = [f"saved {result.messages} messages in {result.chunks} chunks to {target}"]
     if not result.complete:
-        lines.append("the log had no end: what was written after its last whole chunk is lost")
-    lines += [f"passed over: {text}" for text in result.damaged]
+        lines.append("the log was not closed: what was written after its last complete chunk is lost")
+    lines += [f"skipped: {text}" for text in result.damaged]
     return "\n".join(lines)
 
 

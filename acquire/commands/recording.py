@@ -51,7 +51,7 @@ def check(
     bad = [finding.part for finding in checks if finding.state != "good"]
     if bad:
         raise DeviceError(
-            f"not ready: {', '.join(bad)}", "see to these before the flight", where=configuration
+            f"not ready: {', '.join(bad)}", "correct these before the flight", where=configuration
         )
 
 

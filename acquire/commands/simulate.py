@@ -66,11 +66,14 @@ def simulate(
 
 def flight(
     configuration: Annotated[
-        Path, argument("Plan of the flight; `small` and `survey` are shipped.", metavar="CONFIG.toml|NAME")
+        Path,
+        argument(
+            "Plan of the flight; `small`, `survey` and `drone` are shipped.", metavar="CONFIG.toml|NAME"
+        ),
     ],
     output: Annotated[Path, option("Folder to make: site/ and truth/.", "-o", "--output")],
     level: Annotated[
-        str | None, option("pictures, observations or block; overrides the configuration.")
+        str | None, option("pictures, observations, block or card; overrides the configuration.")
     ] = None,
     observations_only: Annotated[
         bool, option("The same as --level block: fast, for statistics.", "--observations-only")
@@ -153,11 +156,11 @@ def serve(
 
     start_s = time.time() + lead_s
     if now and speed != 1:
-        raise ConfigurationError("clocks that run faster are not those of now", "leave --speed out, or --now")
+        raise ConfigurationError("with --now the clocks cannot run faster", "leave out --speed or --now")
     flight = read_flight(flown, dt.datetime.fromtimestamp(start_s, dt.UTC) if now else None)
     if now and time.time() > start_s:
         raise ConfigurationError(
-            f"took longer than {lead_s} s to be flown", "practise with a smaller plan", where=flown
+            f"took longer than {lead_s} s to simulate", "practise with a smaller plan", where=flown
         )
     settings = record or (flown / "site" / "record.toml" if flown.is_dir() else Path("record.toml"))
     waits = () if at_once else awaited(flight, base_on_tcp=base_on_tcp)

@@ -93,7 +93,7 @@ def import_recordings(
                 link = name or form.link or plain or "receiver"
                 if link in links:
                     raise ConfigurationError(
-                        f"two recordings would be the link {link!r}",
+                        f"two recordings would become the link {link!r}",
                         "name each with --link NAME=FILE",
                         where=path,
                     )

@@ -137,7 +137,7 @@ def identify(source: RecordedBytes, dialect: Dialect) -> RecordingFormat:
     if best is None:
         *names, last = (protocol.name for protocol in receiver_protocols())
         raise InputMalformedError(
-            f"holds no whole MAVLink record, no {', '.join(names)} or {last} frame, no DataFlash, ULog or "
+            f"has no complete MAVLink record, no {', '.join(names)} or {last} frame, no DataFlash, ULog or "
             "MRK record",
             "import a .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg or .mrk recording",
             where=source.path,

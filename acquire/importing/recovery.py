@@ -96,7 +96,7 @@ def recover(path: Path, output: Path) -> Recovered:
         _copy_notes(reader, writer, tables, files)
         if not chunks and not tables and not files:
             raise InputMalformedError(
-                "holds no whole chunk, there is nothing to save", "look for another copy", where=path
+                "has no intact chunk, there is nothing to save", "use another copy", where=path
             )
         writer.close()
     return Recovered(messages, chunks, tuple(damage), reader.complete)

@@ -73,7 +73,7 @@ def derived(batches: Iterable[Batch], clock: Clock, where: object) -> Timed:
         else:
             if waiting:
                 raise InputMalformedError(
-                    "no message tells the date (RXM-RAWX, NAV-PVT, NAV-TIMEGPS, NAV-TIMEUTC, RMC, ZDA "
+                    "no message contains the date (RXM-RAWX, NAV-PVT, NAV-TIMEGPS, NAV-TIMEUTC, RMC, ZDA "
                     "or 1013)",
                     where=where,
                     remedy="give --date YYYY-MM-DD, or record one of these messages too",

@@ -48,7 +48,7 @@ def location_fixes(
     """Return `foxglove.LocationFix` messages.
 
     time_ns (n,): time of validity, UTC, nanoseconds since 1970.
-    horizontal_m, vertical_m (n,): accuracy that the device claims: radius in the plane, standard deviation of
+    horizontal_m, vertical_m (n,): accuracy reported by the device: radius in the plane, standard deviation of
         the height. NaN: unknown. The variance of each horizontal component is taken as half of the radius
         squared.
     """

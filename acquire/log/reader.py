@@ -125,7 +125,7 @@ class LogReader:
             magic = stream.read(len(records.MAGIC))
             malformed = InputMalformedError.at(self.path)
             if magic != records.MAGIC:
-                what = "is no flight log (MCAP)" if magic else "is empty"
+                what = "is not a flight log (MCAP)" if magic else "is empty"
                 raise malformed(what, "name an .mcap file, or import the recording first")
             stream.seek(max(self.position, len(magic)))
             while not self.complete and len(head := stream.read(9)) == 9:
@@ -135,7 +135,7 @@ class LogReader:
                 if size > LONGEST_RECORD:
                     raise malformed(
                         f"holds a record of {size} bytes, more than {LONGEST_RECORD}",
-                        "leave attached files of such a size out",
+                        "leave out attached files of that size",
                     )
                 body = stream.read(size)
                 self.position = stream.tell()
@@ -148,7 +148,7 @@ class LogReader:
         except (RuntimeError, ValueError, EOFError, MemoryError) as damage:
             raise malformed(f"a chunk cannot be unpacked ({damage})", "run acquire recover") from damage
         if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
-            raise malformed("the checksum of a chunk disagrees", "run acquire recover")
+            raise malformed("the checksum of a chunk is wrong", "run acquire recover")
         return self._messages(content)
 
     def _messages(self, content: bytes) -> list[LoggedMessages]:
@@ -166,7 +166,7 @@ class LogReader:
                 self._define(opcode, content[at + 9 : at + 9 + size])
             at += 9 + size
         if at != end:
-            raise ValueError("a message reaches over the end of its chunk")
+            raise ValueError("a message extends beyond the end of its chunk")
         messages = []
         for number, starts in places.items():
             if self.wanted is not None and not self.wanted(self._channels[number]):
@@ -200,7 +200,7 @@ def _unpacked(chunk: mcap.Chunk) -> bytes:
     """Return the content of a chunk: as much as it claims to be, which is bounded, and no more."""
     size = chunk.uncompressed_size
     if size > LONGEST_CHUNK:
-        raise ValueError(f"it claims {size} bytes, more than {LONGEST_CHUNK}")
+        raise ValueError(f"its header states {size} bytes, more than {LONGEST_CHUNK}")
     if chunk.compression == "lz4":
         import lz4.frame
 
@@ -216,7 +216,9 @@ def _unpacked(chunk: mcap.Chunk) -> bytes:
     else:
         content = chunk.data
     if len(content) != size:
-        raise ValueError(f"it claims {size} bytes and has {'more' if len(content) > size else len(content)}")
+        raise ValueError(
+            f"its header states {size} bytes and has {'more' if len(content) > size else len(content)}"
+        )
     return bytes(content)
 
 
@@ -231,6 +233,6 @@ def read_json(payload: bytes, path: Path) -> dict[str, Any]:
         value = json.loads(payload)
     except (ValueError, RecursionError) as damage:
         raise InputMalformedError(
-            f"a message is no JSON ({type(damage).__name__})", "run acquire recover", where=path
+            f"a message is not JSON ({type(damage).__name__})", "run acquire recover", where=path
         ) from damage
     return value if isinstance(value, dict) else {}

@@ -192,7 +192,7 @@ def tail_of(source: Path) -> Tail:
     # One that is only just being begun may still be shorter.
     if not MAGIC.startswith(begin):
         raise InputMalformedError(
-            "is no flight log (MCAP)", "name an .mcap file, or import the recording first", where=source
+            "is not a flight log (MCAP)", "name an .mcap file, or import the recording first", where=source
         )
     return Tail(source)
 

@@ -112,13 +112,13 @@ class ClockWatch:
         last, self._offset_s = self._offset_s, offset
         if last is None or abs(offset - last) < LEAST_JUMP_S:
             return []
-        text = f"the clock of this computer jumped by {offset - last:+.1f} s: times of receipt jump with it"
+        text = f"the clock of this computer jumped by {offset - last:+.1f} s: times of receipt jump, too"
         return [Alarm("clock_jump", "", text, clock_ns)]
 
 
 @dataclass
 class FloodWatch:
-    """Tells links over which more comes than is taken, at once and then every so often with figures."""
+    """Reports links whose data arrive faster than they can be recorded: at once, then repeatedly."""
 
     _announced: dict[str, tuple[float, tuple[int, int, bool]]] = field(default_factory=dict)
 
@@ -137,13 +137,13 @@ class FloodWatch:
 
 def flood_text(inbox: Inbox) -> str:
     """Return in words what became of a flood."""
-    limit = "more comes than is taken"
+    limit = "data arrive faster than they can be recorded"
     if inbox.slowed or inbox.dropped:
-        limit = f"more comes than the {MOST_BYTES_S / 1e6:g} MB/s that are taken"
+        limit = f"more data arrive than the {MOST_BYTES_S / 1e6:g} MB/s that can be recorded"
     if inbox.dropped or inbox.missed:
         lost = f"{inbox.missed} datagrams" if inbox.missed else f"{inbox.dropped} bytes"
         return f"{limit}: {lost} could not be kept so far"
-    return f"{limit}: the sender has to wait"
+    return f"{limit}: the sender must wait"
 
 
 @dataclass

@@ -84,7 +84,7 @@ class LinkConfiguration(Table):
         if self.ublox is not None and self.protocol != "ubx":
             raise ValueError("[link.ublox] belongs to a link with protocol ubx")
         if self.corrections_to and self.protocol == "mavlink":
-            raise ValueError("corrections come from a receiver or a caster, not from a vehicle")
+            raise ValueError("corrections must come from a receiver or a caster, not from a vehicle")
         if (self.user or self.password_env) and not self.url.startswith(("ntrip:", "ntrips:")):
             raise ValueError("user and password_env belong to an ntrip link")
         has_position = self.position is not None or self.position_from is not None

@@ -113,10 +113,10 @@ class DeviceLine:
         before, self._told = self._told, state
         self._tell_due_s = steady_s + told_every_s
         texts = [
-            f"does not take what it is sent: {unsent} frames (corrections, answers) refused or too old so far"
-            + (f" ({self._port.failure})" if self._port.failure else ""),
-            f"is not answered in time: {self._talk.dropped} of its pieces or corrections too old so far",
-            f"cannot be talked to, it is recorded all the same: {self._talk.failure}",
+            f"does not accept the data sent to it: {unsent} frames (corrections, answers) "
+            "refused or too old so far" + (f" ({self._port.failure})" if self._port.failure else ""),
+            f"gets its answers too late: {self._talk.dropped} of its pieces or corrections too old so far",
+            f"does not answer commands, its data are recorded: {self._talk.failure}",
         ]
         changed = [text for text, now, then in zip(texts, state, before, strict=True) if now != then]
         return said + [Alarm("device", self._name, text, self._clock_ns()) for text in changed]
@@ -166,7 +166,7 @@ def _vehicle(link: LinkConfiguration, dialect: Dialect) -> VehicleDialogue:
             dialect.number(name)
         except KeyError as unknown:
             raise ConfigurationError(
-                f"{name} is no MAVLink message",
+                f"{name} is not a MAVLink message",
                 where=f"link {link.name}, vehicle.rates_hz",
                 remedy="check it",
             ) from unknown

@@ -92,7 +92,7 @@ class LogFiles:
         except OSError as failure:
             raise OutputError(
                 f"cannot be written ({failure.strerror or failure})",
-                "make room, or choose another folder",
+                "free disk space, or choose another folder",
                 where=self._folders[0],
             ) from failure
 
@@ -231,8 +231,8 @@ class LogFiles:
             return []
         if flushing_s > SLOW_S:
             self._slow, self._slow_due_s = True, now + SLOW_TOLD_S
-            text = f"{file.path}: the disk has confirmed nothing for {flushing_s:.1f} s"
-            return [("disk_slow", f"{text}: a power cut now would cost that and more")]
+            text = f"{file.path}: the disk has not confirmed a write for {flushing_s:.1f} s"
+            return [("disk_slow", f"{text}: a power cut now would lose that and more")]
         was_slow, self._slow = self._slow, False
         return [("note", f"{file.path}: the disk keeps up again")] if was_slow else []
 
@@ -249,7 +249,7 @@ class LogFiles:
 
     def _end_last(self) -> list[Notice]:
         if self._file is None:
-            raise self._refusal("no place can be written")
+            raise self._refusal("no folder can be written")
         self._end(self._file)
         self._file = None
         return self._ended(LAST_FLUSH_S)
@@ -265,7 +265,7 @@ class LogFiles:
             except TimeoutError:
                 if patience_s:
                     self._ends.remove(end)
-                    text = f"{file.path}: the disk does not answer, what it has not confirmed may be missing"
+                    text = f"{file.path}: the disk does not answer, unconfirmed data may be missing"
                     notices.append(("disk_slow", text))
                 continue
             self._ends.remove(end)
@@ -297,7 +297,7 @@ class LogFiles:
                 file.close()
                 self.paths[self.paths.index(gone)] = moved
             what = "was deleted" if moved is None else f"was moved to {moved}"
-            text = f"{gone} {what} while it was written, recording goes on in {following.path}"
+            text = f"{gone} {what} while it was written, recording continues in {following.path}"
             return [*notices, ("file_gone", text)]
         # What has no name can still be written: it is tried again with the next flush.
         return [("file_gone", f"{gone} was deleted or moved, and no new file can be made: look at the disk")]
@@ -340,7 +340,7 @@ class LogFiles:
             place = self.paths.index(gone)
             if failure is None:
                 self.paths[place] = copy
-                notices.append(("note", f"{gone} was deleted, what was in it is saved in {copy}"))
+                notices.append(("note", f"{gone} was deleted, its content is saved in {copy}"))
             else:
                 del self.paths[place]
                 self._put_back(file)
@@ -375,15 +375,15 @@ class LogFiles:
             self._given_up += [in_background("give up", file.give_up) for file in self._doubted]
             self._doubted.clear()
             if waited:
-                told = [("note", f"there is room again, recording goes on in {following.path}")]
+                told = [("note", f"disk space is free again, recording continues in {following.path}")]
             else:
-                what = f"{full} cannot be written any more ({reason})"
-                told = [("disk_full", f"{what}, recording goes on in {following.path}")]
+                what = f"{full} can no longer be written ({reason})"
+                told = [("disk_full", f"{what}, recording continues in {following.path}")]
             return [*told, *self._write()]
         self._again_s = self._steady_s() + try_again_s
         if waited:
             return []
-        text = f"no place can be written ({reason}): make room now, what comes is held in memory"
+        text = f"no folder can be written ({reason}): free disk space now, new data are kept in memory"
         return [("disk_full", text)]
 
     def _try_again(self) -> list[Notice]:
@@ -398,14 +398,14 @@ class LogFiles:
             return [("disk_full", f"not kept: {n} {what}") for what, n in sorted(self._left_out.items())]
         new = [what for what in self._left_out if what not in self._told_left_out]
         self._told_left_out.update(new)
-        return [("disk_full", f"the memory is full: not kept any more: {what}") for what in new]
+        return [("disk_full", f"the memory is full: no longer kept: {what}") for what in new]
 
     def _refusal(self, reason: str) -> OutputError:
         left_out = "".join(f", {number} {what}" for what, number in sorted(self._left_out.items()))
         return OutputError(
-            f"the recording cannot go on ({reason}): {self.held_bytes} bytes{left_out} lost, "
+            f"the recording cannot continue ({reason}): {self.held_bytes} bytes{left_out} lost, "
             "what was written is safe",
-            "make room or name a spare folder, then acquire recover this file",
+            "free disk space or name a spare folder, then acquire recover this file",
             where=self.paths[-1],
         )
 

@@ -150,7 +150,9 @@ class LinkSession:
         if failure := self._decoder.failure:
             self._decoder.failure = ""
             alarms.append(
-                Alarm("device", self.name, f"cannot be decoded, it is kept raw: {failure}", clock_ns)
+                Alarm(
+                    "device", self.name, f"cannot be decoded, only raw frames are kept: {failure}", clock_ns
+                )
             )
         return alarms
 

@@ -115,7 +115,7 @@ class Moves:
         if peer != self._peer:
             if self._peer:
                 self._count += 1
-                self._text = f"comes from another place: {peer}, before {self._peer}"
+                self._text = f"data come from another address: {peer}, before {self._peer}"
             self._peer = peer
         if self._count and steady_s >= self._due_s:
             times = f" ({self._count} times: do several senders share the port?)" if self._count > 1 else ""

@@ -117,7 +117,9 @@ def record(
     lines = Outlet("terminal", tell)
     lines.put(f"recording to {files.paths[0]}")
     for path in before:
-        lines.put(f"{path} has no end: if it is of this flight, name both in [flight] logs of the project")
+        lines.put(
+            f"{path} was not closed: if it belongs to this flight, name both in [flight] logs of the project"
+        )
     if warning := expiry_warning(host.clock_ns()):
         lines.put(f"warning: {warning}")
     compile_search()
@@ -129,7 +131,7 @@ def record(
             # Many small arrivals are framed together: that is what makes high rates cheap.
             stop.wait(0.0 if flight.step(inboxes) else gather_s)
         for name in left_behind(readers, limit_s / 2):
-            tell(f"{name} hangs and was left behind")
+            tell(f"{name} does not stop and was abandoned")
         # What arrived between the order to stop and the end of the readers belongs to the flight, too.
         flight.close(inboxes, limit_s)
     except BaseException:
@@ -232,7 +234,7 @@ class _Flight:
         self._raise(self._flood.look(inboxes, math.inf, self._host.clock_ns()))
         for name, session in self.sessions.items():
             if len(inboxes[name]):
-                text = "not all of it was framed before the end: acquire recover frames the rest"
+                text = "some data were not framed before the end: acquire recover frames the rest"
                 self._raise([Alarm("flood", name, text, self._host.clock_ns())])
             else:
                 session.close()

@@ -49,7 +49,7 @@ def ntrip_address(url: str) -> CasterAddress | None:
     if parts is not None and "@" in parts.netloc:
         # The address is shown and kept: it must not carry what is secret.
         raise ConfigurationError(
-            "an address of a caster carries no user and password",
+            "an address of a caster must not contain user and password",
             "give user = ... and password_env = the name of an environment variable",
             where=f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}",
         )
@@ -58,7 +58,7 @@ def ntrip_address(url: str) -> CasterAddress | None:
     clean = mountpoint.isprintable() and " " not in mountpoint
     if parts is None or host is None or not mountpoint or not clean or parts.query not in queries:
         raise ConfigurationError(
-            "is no address of a caster", "give ntrip://HOST:PORT/MOUNTPOINT[?version=1]", where=url
+            "is not an address of a caster", "give ntrip://HOST:PORT/MOUNTPOINT[?version=1]", where=url
         )
     encrypted = parts.scheme == "ntrips"
     return CasterAddress(
@@ -211,7 +211,7 @@ def _head(line: socket.socket, patience: Patience) -> tuple[bytes, bytes]:
             return first, b""
         piece = _patiently(line, lambda: line.recv(PIECE_BYTES), patience)
         if not piece or len(data) > _LONGEST_HEAD:
-            raise LinkLostError("the caster does not answer as a caster does")
+            raise LinkLostError("the server does not answer like a caster")
         data += piece
 
 

@@ -77,7 +77,7 @@ class UdpSink:
         until = time.monotonic() + PATIENCE_S
         while self._look() > _IN_FLIGHT:
             if time.monotonic() > until:
-                raise DeviceError(f"the reader has taken nothing for {PATIENCE_S:.0f} s", "look at it")
+                raise DeviceError(f"the reader has accepted no data for {PATIENCE_S:.0f} s", "look at it")
             time.sleep(0.001)
 
     def _look(self) -> int:
@@ -153,7 +153,7 @@ def open_sink(url: str) -> Iterator[tuple[Sink, str]]:
     address = host_and_port(url) if url.startswith(("udp://", "tcp://")) else None
     if address is None:
         raise ConfigurationError(
-            "is no address to send to", "give udp://HOST:PORT, tcp://HOST:PORT or pty", where=url
+            "is not an address to send to", "give udp://HOST:PORT, tcp://HOST:PORT or pty", where=url
         )
     try:
         if url.startswith("udp://"):

@@ -248,7 +248,7 @@ class TcpSource(Source):
                     left = left[port.send(left) :]
                 except not_yet:
                     if time.monotonic() > until:
-                        raise LinkLostError(f"takes nothing for {_WRITE_LIMIT_S:g} s") from None
+                        raise LinkLostError(f"accepts no data for {_WRITE_LIMIT_S:g} s") from None
                     time.sleep(0.005)
 
 
@@ -343,7 +343,7 @@ def source_of(url: str, baud: int) -> Source:
     if scheme in ("udp", "tcp") and (address := host_and_port(url)) is not None:
         return UdpSource(*address) if scheme == "udp" else TcpSource(*address)
     raise ConfigurationError(
-        "is no address of a link",
+        "is not an address of a link",
         "give udp://HOST:PORT, tcp://HOST:PORT, serial:DEVICE or file:PATH",
         where=url,
     )

@@ -1,6 +1,8 @@
 """An assessment as a JSON value (schema `photocal.check/2`), and as a document."""
 
 import math
+import re
+from collections.abc import Sequence
 from typing import Any
 
 from photocal.accuracy import classes
@@ -15,6 +17,7 @@ from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_
 
 SCHEMA = "photocal.check/2"
 _NONE = "-"
+_NUMBER = re.compile(r"(\d)\.(\d)")
 
 
 def to_json(assessment: Assessment, say: Catalogue | None = None) -> dict[str, Any]:
@@ -102,44 +105,60 @@ def value_record(value: classes.ValueClass) -> dict[str, Any]:
     }
 
 
-def to_text(assessment: Assessment) -> str:
-    """Write an assessment for people: figures in m."""
+def to_text(assessment: Assessment, say: Catalogue | None = None) -> str:
+    """Write an assessment for people, in English unless asked otherwise: figures in m."""
+    say = say or catalogue("en")
     count, level = len(assessment.discrepancies.points), assessment.question.confidence
-    head = f"{count} check points; discrepancies are {SIGN}, in metres; tests at {level:.0%}."
-    parts: list[Piece] = [Paragraph(head), _points(assessment), _statistics(assessment), _vectors(assessment)]
-    parts.append(_tests(assessment))
+    head = say("assessed.head", count=count, sign=say("shown.sign"), level=f"{level:.0%}")
+    parts: list[Piece] = [Paragraph(head)]
+    parts += [part(assessment, say) for part in (_points, _statistics, _vectors, _tests)]
     similarity = assessment.similarity
     if similarity is not None:
-        parts.append(
-            Paragraph(
-                f"Similarity over the plane: the product is {similarity.scale:+.3%} too large and turned by "
-                f"{similarity.rotation_rad * 1e3:+.3f} mrad; "
-                f"planimetric RMSE left {similarity.rmse_left_m:.3f} m."
-            )
-        )
+        figures = {
+            "scale": f"{similarity.scale:+.3%}",
+            "rotation": f"{similarity.rotation_rad * 1e3:+.3f}",
+            "left": f"{similarity.rmse_left_m:.3f}",
+        }
+        parts.append(Paragraph(say("assessed.similarity", **marked(figures, say))))
     for result in assessment.tables:
-        parts += standard_parts(result)
+        parts += standard_parts(result, say)
     for value in assessment.values:
         parts.append(Paragraph(f"{value.standard.title}: {classes.value_class_text(value)}"))
-    return text([Section("", (*parts, remarks(findings(assessment))))])
+    return text([Section("", (*parts, remarks(findings(assessment), say)))])
 
 
-def remarks(findings: tuple[Finding, ...]) -> Remarks | Paragraph:
+def marked(figures: dict[str, str], say: Catalogue) -> dict[str, str]:
+    """Give printed numbers the decimal mark of the language."""
+    return {name: figure.replace(".", say.mark) for name, figure in figures.items()}
+
+
+def localised(rows: Sequence[Sequence[str]], say: Catalogue) -> list[tuple[str, ...]]:
+    """Give the numbers in rows of cells the decimal mark of the language; what is no number stays."""
+    return [tuple(_NUMBER.sub(rf"\1{say.mark}\2", cell) for cell in row) for row in rows]
+
+
+def remarks(findings: tuple[Finding, ...], say: Catalogue) -> Remarks | Paragraph:
     """Write findings one below the other, or that there are none."""
-    say = catalogue("en")
     texts = tuple(finding_text(finding, say) for finding in findings)
-    return Remarks(texts) if texts else Paragraph("Nothing to remark.")
+    return Remarks(texts) if texts else Paragraph(say("assessed.nothing"))
 
 
-def _points(assessment: Assessment) -> TablePart:
+def _table(key: str, rows: Sequence[Sequence[str]], say: Catalogue, *more: str) -> TablePart:
+    """Make a table whose caption and heads are in the catalogue."""
+    heads = [*say(f"assessed.{key}_heads").split("|"), *more]
+    return table(say(f"assessed.{key}"), heads, [(row[0], *localised([row[1:]], say)[0]) for row in rows])
+
+
+def _points(assessment: Assessment, say: Catalogue) -> TablePart:
     given = assessment.discrepancies
     pairs = zip(given.points, given.d_m.tolist(), strict=True)
     rows = [(point, *(_metres(value, "+.3f") for value in row)) for point, row in pairs]
-    return table("Discrepancies", ["point", *(f"d{name}" for name in COMPONENTS)], rows)
+    heads = [say("assessed.point"), *(f"d{name}" for name in COMPONENTS)]
+    cells = [(row[0], *localised([row[1:]], say)[0]) for row in rows]
+    return table(say("assessed.points"), heads, cells)
 
 
-def _statistics(assessment: Assessment) -> TablePart:
-    heads = ["", "n", "mean", "std (n-1)", "RMSE", "without trend", "min", "max", "median", "NMAD"]
+def _statistics(assessment: Assessment, say: Catalogue) -> TablePart:
     rows = []
     for c in assessment.components:
         m, s = c.moments, c.spread
@@ -148,48 +167,45 @@ def _statistics(assessment: Assessment) -> TablePart:
         rows.append(
             (f"d{c.name}", str(m.n), _metres(m.mean_m, "+.3f"), *spreads, *ordered, _metres(s.nmad_m))
         )
-    return table("Statistics", heads, rows)
+    return _table("statistics", rows, say)
 
 
-def _vectors(assessment: Assessment) -> TablePart:
+def _vectors(assessment: Assessment, say: Catalogue) -> TablePart:
     gsd = assessment.question.gsd_m
-    heads = ["", "n", "RMSE", "mean length", "maximum", "90 % normal", "90 % counted"]
-    heads += [] if gsd is None else [f"in 1 GSD ({gsd:.3f})", "in 2 GSD"]
+    gsd_heads = "" if gsd is None else say("assessed.gsd_heads", **marked({"gsd": f"{gsd:.3f}"}, say))
     lengths = assessment.plane, assessment.height, assessment.space
     rows = []
-    for name, s in zip(("planimetry (CE90)", "height (LE90)", "3D"), lengths, strict=True):
+    for name, s in zip(say("assessed.vectors").split("|"), lengths, strict=True):
         if s is not None:
             figures = (s.rms_m, s.mean_m, s.maximum_m, s.probable_m, s.counted_m)
-            counts = [f"{k} of {s.n}" for k in s.within_gsd or ()]
+            counts = [say("assessed.counted", k=k, n=s.n) for k in s.within_gsd or ()]
             rows.append((name, str(s.n), *map(_metres, figures), *counts))
-    return table("Lengths", heads, rows)
+    return _table("lengths", rows, say, *filter(None, gsd_heads.split("|")))
 
 
-def _tests(assessment: Assessment) -> TablePart:
-    heads = ["", "t", "limit", "bias", "Shapiro-Wilk p", "normal", "outliers"]
+def _tests(assessment: Assessment, say: Catalogue) -> TablePart:
     rows = []
     for c in assessment.components:
         cells, bias, normality = [_NONE] * 5, c.bias, c.normality
         if bias is not None:
-            cells[:3] = f"{bias.t:.3f}", f"{bias.critical:.4f}", _yes(bias.significant)
+            cells[:3] = f"{bias.t:.3f}", f"{bias.critical:.4f}", _yes(bias.significant, say)
         if normality is not None:
-            cells[3:] = f"{normality.p_value:.3f}", _yes(not normality.rejected)
+            cells[3:] = f"{normality.p_value:.3f}", _yes(not normality.rejected, say)
         rows.append((f"d{c.name}", *cells, ", ".join(c.outliers) or _NONE))
-    return table("Tests", heads, rows)
+    return _table("tests", rows, say)
 
 
-def standard_parts(result: TableResult) -> list[Piece]:
+def standard_parts(result: TableResult, say: Catalogue) -> list[Piece]:
     """Write one table of a standard."""
     title = f"{result.standard_title}: {result.table.product}"
-    parts: list[Piece] = [] if result.size is None else [_decisions(result, title, result.size)]
-    parts.append(_smallest(result, title))
+    parts: list[Piece] = [] if result.size is None else [_decisions(result, title, result.size, say)]
+    parts.append(_smallest(result, title, say))
     if result.table.second_hand:
-        parts.append(Paragraph(f"(second-hand figures: {result.table.source})"))
+        parts.append(Paragraph(say("assessed.second_hand", source=result.table.source)))
     return parts
 
 
-def _decisions(result: TableResult, title: str, size: float) -> TablePart:
-    heads = ["class", "PEC", "EP", "chi2", "limit", "precision", "within PEC", "RMSE", "accuracy"]
+def _decisions(result: TableResult, title: str, size: float, say: Catalogue) -> TablePart:
     rows = [
         (
             decision.limit.name,
@@ -197,42 +213,41 @@ def _decisions(result: TableResult, title: str, size: float) -> TablePart:
             f"{decision.limit.ep_m:.3f}",
             " ".join(f"{test.chi_squared:.2f}" for test in decision.precision) or _NONE,
             f"{decision.precision[0].critical:.2f}" if decision.precision else _NONE,
-            _yes(decision.precise),
+            _yes(decision.precise, say),
             _NONE if decision.share_within is None else f"{decision.share_within:.0%}",
-            "within EP" if decision.rmse_within else "above EP",
-            _yes(decision.accurate),
+            say("assessed.within_ep" if decision.rmse_within else "assessed.above_ep"),
+            _yes(decision.accurate, say),
         )
         for decision in result.decisions
     ]
-    note = (
-        f"precision class {result.precision_class or 'none'} (bias removed), "
-        f"accuracy class {result.accuracy_class or 'none'} (90 % rule and RMSE)"
-    )
-    return table(f"{title} at {size_text(result.table.basis, size)}", heads, rows, note)
+    none = say("shown.none")
+    reached = {"precise": result.precision_class or none, "accurate": result.accuracy_class or none}
+    caption = say("assessed.at", title=title, size=size_text(result.table.basis, size))
+    heads = say("assessed.classes_heads").split("|")
+    return table(caption, heads, localised(rows, say), say("assessed.classes", **reached))
 
 
-def _smallest(result: TableResult, title: str) -> TablePart:
+def _smallest(result: TableResult, title: str, say: Catalogue) -> TablePart:
     basis = result.table.basis
-    what = "largest scale" if basis == "scale" else "smallest contour interval (m)"
-    heads = ["class", "by precision", "by accuracy", "= RMSE", "and 90 %", "next listed"]
+    what = say("assessed.largest_scale" if basis == "scale" else "assessed.smallest_interval")
     rows = []
     for admitted in result.admitted:
         listed = classes.smallest_listed(result.table.sizes(), admitted.accuracy)
         sizes = (admitted.precision, admitted.accuracy, admitted.rmse, admitted.share, listed)
-        rows.append((admitted.name, *(_size(basis, size) for size in sizes)))
-    return table(f"{title}: {what}", heads, rows)
+        rows.append((admitted.name, *(_size(basis, size, say) for size in sizes)))
+    return table(f"{title}: {what}", say("assessed.smallest_heads").split("|"), localised(rows, say))
 
 
-def _size(basis: str, size: float | None) -> str:
+def _size(basis: str, size: float | None, say: Catalogue) -> str:
     if size is None:
         return _NONE
     if size <= 0.0:
-        return "any"
+        return say("shown.any")
     return scale_text(size) if basis == "scale" else f"{size:.4f}"
 
 
-def _yes(decision: bool) -> str:
-    return "yes" if decision else "no"
+def _yes(decision: bool, say: Catalogue) -> str:
+    return say("shown.yes" if decision else "shown.no")
 
 
 def _metres(value: float | None, form: str = ".3f") -> str:

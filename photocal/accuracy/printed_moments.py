@@ -16,6 +16,7 @@ from photocal.base.arrays import as_plain, picked
 from photocal.base.errors import InputMalformedError
 from photocal.block.table import TextTable, read_table, refuse
 from photocal.findings.document import Paragraph, Piece, Section, table, text
+from photocal.findings.texts import catalogue
 
 SCHEMA = "photocal.check-moments/1"
 _FORMS = (("mean_m", "std_m"), ("rmse_m", "t"))
@@ -182,6 +183,6 @@ def _pieces(one: MomentsAssessment, question: Question) -> tuple[Piece, ...]:
     head = f"moments as printed; discrepancies are {SIGN}, in metres; tests at {question.confidence:.0%}."
     parts: list[Piece] = [Paragraph(head), table("Moments", heads, rows)]
     for result in one.tables:
-        parts += standard_parts(result)
+        parts += standard_parts(result, catalogue("en"))
     parts += [Paragraph(f"{v.standard.title}: {classes.value_class_text(v)}") for v in one.values]
     return tuple(parts)

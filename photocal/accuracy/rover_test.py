@@ -45,7 +45,7 @@ class Deviation:
 
 @dataclass(frozen=True)
 class SampleTest:
-    """A standard deviation held against one stated, or against an earlier one.
+    """A standard deviation compared with one stated, or against an earlier one.
 
     least, most: between which s lies when it is no worse, or the same, with 95 %; least is 0 for one side.
     """

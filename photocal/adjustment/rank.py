@@ -51,7 +51,7 @@ def explain_singular(problem: Problem, state: State, limits: RankLimits = SINGUL
         some = ", ".join(names[j] for j in alone[:5])
         raise IllPosedError(
             f"the rays of {len(alone)} object point(s) do not intersect ({some})",
-            "give these points rays from different places, or take them out",
+            "give these points rays from different places, or remove them",
         ).of_points(tuple(names[j] for j in alone))
     scale, scaled, null = _null_space(problem, normal, limits.null)
     if not null.shape[1]:
@@ -89,7 +89,7 @@ def require_determined(
         raise IllPosedError(
             f"{len(lost)} object point(s) are uncertain by more than half of their distance ({some}): "
             "their rays do not intersect",
-            "give these points rays from different places, or take them out",
+            "give these points rays from different places, or remove them",
         ).of_points(tuple(problem.network.point_names[j] for j in lost))
     require_cameras(problem, state, camera_covariance)
 

@@ -24,7 +24,7 @@ def brought(group: str, kind: type[Kind]) -> dict[str, Kind]:
     what = {LENSES: "lens", HYPOTHESES: "hypothesis"}.get(group, what)
     for entry in sorted(entry_points(group=group), key=lambda entry: entry.name):
         wrong = ConfigurationError.at(entry.value)
-        remedy = "mend the package that brings it, or remove it"
+        remedy = "correct the package that brings it, or remove it"
         try:
             loaded = entry.load()
         except Exception as failure:

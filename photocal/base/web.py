@@ -92,7 +92,7 @@ class Address:
             entries = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM)
         except (OSError, UnicodeError) as refusal:
             raise ConfigurationError(
-                "is no address of this computer", "use for example 127.0.0.1:8740", where=str(self)
+                "is not an address of this computer", "use for example 127.0.0.1:8740", where=str(self)
             ) from refusal
         return [(entry[0], str(entry[4][0])) for entry in entries]
 

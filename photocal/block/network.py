@@ -353,7 +353,7 @@ def _require_rays(block: Block, rays_of_point: Integers) -> None:
         role = "check" if block.points.of_role("check")[alone[0]] else "tie"
         raise InputMalformedError(
             f"{role} point {name} has one ray" + (f", as {len(alone) - 1} more" if len(alone) > 1 else ""),
-            "measure it in a second image or take it out",
+            "measure it in a second image or remove it",
             where=f"point {name}",
         )
     images = len(block.images.names)
@@ -370,7 +370,7 @@ def _require_rays(block: Block, rays_of_point: Integers) -> None:
         name = block.images.names[image]
         raise IllPosedError(
             f"it has {weak[image]} observed value(s) for {free[image]} unknown(s)",
-            "measure more points in it, give its exterior orientation a sigma, or take it out",
+            "measure more points in it, give its exterior orientation a sigma, or remove it",
             where=f"image {name}",
         )
 

@@ -220,7 +220,7 @@ def _read_parquet(path: Path) -> TextTable:
         return TextTable(path, pyarrow.parquet.read_table(path), lines=False)
     except (pa.ArrowInvalid, OSError) as failure:
         raise InputMalformedError(
-            f"is no readable Parquet file ({str(failure).splitlines()[0]})", "write it again", where=path
+            f"is not a readable Parquet file ({str(failure).splitlines()[0]})", "write it again", where=path
         ) from failure
 
 
@@ -273,7 +273,7 @@ def _cut(path: Path, message: str) -> InputMalformedError:
             where=f"{path}, row {row}",
         )
     return InputMalformedError(
-        f"is no readable table ({message.splitlines()[0]})", "write it as UTF-8 text", where=path
+        f"is not a readable table ({message.splitlines()[0]})", "write it as UTF-8 text", where=path
     )
 
 

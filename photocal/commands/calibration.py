@@ -150,9 +150,12 @@ def certificate(
 
     Example: `photocal certificate run -o certificate --block block --language pt-BR`
     """
+    from dataclasses import replace
+
+    from photocal.findings.texts import spoken
     from photocal.run.certify import certificate as certified
 
-    made = certified(run, output, options=options)
+    made = certified(run, output, options=replace(options, language=spoken(options.language)))
     answer(
         as_json,
         lambda: {
@@ -173,7 +176,7 @@ def forms(
         Path | None, option("plan.geojson of `photocal plan`: a station sheet for each of its points.")
     ] = None,
     stations: Annotated[int, option("Places of the camera before a test field.", min=1, max=20)] = 3,
-    language: Annotated[str, option("Language: en or pt-BR.", "--lang", "--language")] = "en",
+    language: Language = "",
     as_json: Annotated[bool, option("Print what was written as JSON.", "--json")] = False,
 ) -> None:
     """Write sheets to print: GNSS stations, flight log, targets, laboratory, test of a rover.
@@ -184,12 +187,13 @@ def forms(
 
     from photocal.base.files import output_file
     from photocal.findings.document import pdf
-    from photocal.findings.texts import catalogue
+    from photocal.findings.texts import catalogue, spoken
     from photocal.report.ministry_rows import field_forms, planned_places
 
     places = () if plan is None else planned_places(plan)
     names = [name.strip() for name in kinds.split(",") if name.strip()]
-    document = field_forms(names, places, catalogue(language), stations)
+    say = catalogue(spoken(language))
+    document = field_forms(names, places, say, stations)
     content = pdf(document, dt.datetime.now().astimezone().date())
     with output_file(output) as aside:
         aside.write_bytes(content)
@@ -197,5 +201,5 @@ def forms(
     answer(
         as_json,
         lambda: {"file": str(output), "sheets": titles},
-        lambda: "\n".join([*titles, f"written to {output}"]),
+        lambda: "\n".join([*titles, say("shown.written", place=output)]),
     )

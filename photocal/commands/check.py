@@ -1,6 +1,6 @@
 """`photocal check`: a block, a project, an experiment or a product judged at its check points.
 
-`photocal rover-test`: whether a GNSS rover is as good as it is said to be, before control is believed.
+`photocal rover-test`: the field test of a GNSS rover, before its control points are used.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from photocal.accuracy.options import JudgementOptions, MapOptions
 from photocal.base.console import (
     AsJson,
     Details,
+    Language,
     answer,
     argument,
     numbers_of,
@@ -32,10 +33,34 @@ if TYPE_CHECKING:
 
     from photocal.accuracy.discrepancies import Discrepancies
     from photocal.accuracy.standard import Question, Standard
+    from photocal.findings.texts import Catalogue
     from photocal.geometry.camera import Camera
     from photocal.georeferencing.methods import Degradation
     from photocal.products.product_check import ProductCheck
     from photocal.project import Project
+
+
+@dataclass(frozen=True)
+class Told:
+    """How the answer is given: in which language, and whether with all details."""
+
+    language: str
+    details: bool
+
+    @property
+    def say(self) -> Catalogue:
+        """Texts for the terminal: of the language asked for, else of the environment."""
+        from photocal.findings.texts import catalogue, spoken
+
+        return catalogue(spoken(self.language))
+
+    @property
+    def stored(self) -> Catalogue:
+        """Texts of files and JSON: English unless a language is asked for."""
+        from photocal.findings.texts import catalogue
+
+        return catalogue(self.language or "en")
+
 
 # Figures as a JSON value, and the same for people.
 Judged: TypeAlias = tuple[dict[str, Any], str]
@@ -78,6 +103,7 @@ def judge_product(
     standards: tuple[Standard, ...],
     question: Question,
     maps: MapOptions,
+    told: Told,
 ) -> Judged:
     """Judge a table of discrepancies, or what an orthomosaic and a terrain model say at the check points."""
     from photocal.accuracy.assessment import assess
@@ -103,7 +129,7 @@ def judge_product(
 
         system = reference_system(maps.crs)
         write_geopackage(maps.geopackage, (("check", product),), system, changed_utc(path))
-    return to_json(result) | more, "\n".join([to_text(result), *remarks])
+    return to_json(result, told.stored) | more, "\n".join([to_text(result, told.say), *remarks])
 
 
 def judge_moments(path: Path, standards: tuple[Standard, ...], question: Question) -> Judged:
@@ -132,13 +158,13 @@ def judge_block(
     crs: str | None,
     *,
     on_the_job: bool,
-    details: bool,
+    told: Told,
 ) -> Judged:
     """Georeference a block three ways and judge it."""
     from photocal.accuracy.maps import reference_system
     from photocal.exchange.formats import read_any_block
     from photocal.findings.finding import Finding
-    from photocal.findings.texts import catalogue, finding_json, finding_text, plain
+    from photocal.findings.texts import finding_json, finding_text, plain
     from photocal.findings.verdict import verdict_json
     from photocal.georeferencing.comparison import check_block
     from photocal.georeferencing.methods import METHODS, with_shutters
@@ -153,24 +179,24 @@ def judge_block(
         # A flight is its own calibration; a block folder states what it wants to be judged with.
         read = with_shutters(read)
         result = check_block(read, standards, question, noise, lambda _: advance(1), on_the_job=on_the_job)
-    content, say = to_json(result), catalogue("en")
+    content = to_json(result, told.stored)
     # A project has one verdict, however its block is named: that over all its stages.
     of_project = on_the_job or is_stage(source)
     final = project_verdict(source.parent) if of_project else None
-    text = to_text(result, final, details=details)
+    text = to_text(result, final, told.say, details=told.details)
     if final is not None:
-        content["verdict"] = verdict_json(final, say)
+        content["verdict"] = verdict_json(final, told.stored)
     elif of_project and outdated(source.parent):
         note = Finding("certificate-outdated", "note")
-        content["findings"].append(finding_json(note, say))
-        text += f"\n{finding_text(note, say, plain)}"
+        content["findings"].append(finding_json(note, told.stored))
+        text += f"\n{finding_text(note, told.say, plain)}"
     if output is not None:
         from photocal.base.geopackage import changed_utc
         from photocal.georeferencing.output import write_check
 
         system = system or reference_system(None if read.frame == "local" else read.frame)
-        write_check(result, content, output, system, changed_utc(source), final)
-    return content, _with_place(text, output)
+        write_check(result, content, output, system, changed_utc(source), final, told.stored)
+    return content, _with_place(text, output, told)
 
 
 def with_project(path: Path, question: Question) -> tuple[Project, Question]:
@@ -224,8 +250,11 @@ def judge_numbers(source: Path, counts: str, output: Path | None) -> Judged:
     return figures, _with_place(numbers_text(figures), output)
 
 
-def _with_place(text: str, output: Path | None) -> str:
-    return text if output is None else f"{text}\nwritten to {output}"
+def _with_place(text: str, output: Path | None, told: Told | None = None) -> str:
+    if output is None:
+        return text
+    written = f"written to {output}" if told is None else told.say("shown.written", place=output)
+    return f"{text}\n{written}"
 
 
 def _interiors(path: Path) -> tuple[Camera, ...]:
@@ -259,6 +288,7 @@ def check(
     judgement: JudgementOptions,
     maps: MapOptions,
     repetition: RepetitionOptions,
+    language: Language = "",
     details: Details = False,
     as_json: AsJson = False,
 ) -> None:
@@ -277,12 +307,12 @@ def check(
             "name a block or project, or --discrepancies, --moments, --variance, --experiment or --points",
         )
     # What is wrong with them is said before anything is computed.
-    question, standards = judgement.question(), judgement.standards()
+    question, standards, told = judgement.question(), judgement.standards(), Told(language, details)
     at = replace(maps, figures=maps.figures or output)
     if other.experiment is not None:
         judged = judge_experiment(other.experiment, output)
     elif block is not None:
-        judged = _of_block(block, output, judgement, maps, repetition, details=details)
+        judged = _of_block(block, output, judgement, maps, repetition, told)
     elif repetition.control_numbers is not None:
         raise ConfigurationError("--control-numbers needs a block", "name a block or project")
     elif other.moments is not None:
@@ -293,12 +323,12 @@ def check(
         from photocal.accuracy.discrepancies import read_discrepancies
 
         table = read_discrepancies(other.discrepancies)
-        judged = judge_product(table, other.discrepancies, standards, question, at)
+        judged = judge_product(table, other.discrepancies, standards, question, at, told)
     elif product.points is not None:
         from photocal.products.product_check import check_products, read_check_points
 
         found = check_products(read_check_points(product.points), product)
-        judged = judge_product(found, product.points, standards, question, at)
+        judged = judge_product(found, product.points, standards, question, at, told)
     answer(as_json, lambda: judged[0], lambda: judged[1])
 
 
@@ -308,8 +338,7 @@ def _of_block(
     judgement: JudgementOptions,
     maps: MapOptions,
     repetition: RepetitionOptions,
-    *,
-    details: bool,
+    told: Told,
 ) -> Judged:
     question, on_the_job = judgement.question(), block.suffix == ".toml"
     if on_the_job:
@@ -321,9 +350,7 @@ def _of_block(
     if repetition.control_numbers is not None:
         return judge_numbers(block, repetition.control_numbers, output)
     noise = repetition.noise()
-    return judge_block(
-        block, output, standards, question, noise, maps.crs, on_the_job=on_the_job, details=details
-    )
+    return judge_block(block, output, standards, question, noise, maps.crs, on_the_job=on_the_job, told=told)
 
 
 def rover_test(
@@ -337,7 +364,7 @@ def rover_test(
     """Test a GNSS rover (RTK) in the field after ISO 17123-8, simplified or full.
 
     One series of five sets makes the simplified test, three series the full one: standard deviations in plane
-    and height, held against the stated ones (chi-squared) and an earlier test (F). `photocal forms --kinds
+    and height, compared with the stated ones (chi-squared) and an earlier test (F). `photocal forms --kinds
     rover` prints the sheet.
 
     Example: `photocal rover-test sets.csv --distance 12.345 --height-difference 0.214 --sigma 0.010,0.015`

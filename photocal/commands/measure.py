@@ -1,6 +1,6 @@
 """`photocal measure`: from images to the observations of a block.
 
-`photocal radiometry`: sharpness, resolution on the ground, fall of light and linearity of a camera.
+`photocal radiometry`: sharpness, resolution on the ground, vignetting and linearity of a camera.
 """
 
 from __future__ import annotations
@@ -170,7 +170,7 @@ def radiometry(
 ) -> None:
     """Measure the radiometry of a camera for the annex of its certificate.
 
-    Grey values must be linear: raw pictures, or TIFF made without a curve of tones.
+    Grey values must be linear: raw pictures, or TIFF made without a tone curve.
 
     Example: `photocal radiometry --edge edge.tif --star star.tif --place 2100,1480,600 --gsd-cm 1.5`
     """

@@ -62,8 +62,8 @@ def exposures(
 
     if lever_arm is not None:
         raise ConfigurationError(
-            "--lever-arm led from the antenna to the camera, the other way round than everywhere else",
-            "give --camera-to-antenna with all three signs turned",
+            "--lever-arm went from the antenna to the camera, the reverse of all other inputs",
+            "give --camera-to-antenna with all three signs reversed",
             where="--lever-arm",
         )
     figures = computed(flight or (), receivers=receivers, options=options).write(output)
@@ -124,7 +124,7 @@ def localise(
     scale: Annotated[
         str, option("free, ground (metres on the ground), or a number: local over map.")
     ] = "free",
-    level: Annotated[bool, option("Heights differ by a shift, not by a tilted plane.", "--level")] = False,
+    level: Annotated[bool, option("Estimate a shift of the heights, not a tilted plane.", "--level")] = False,
     without: Annotated[str, option("Common points to leave out, separated by commas.")] = "",
     as_json: AsJson = False,
 ) -> None:

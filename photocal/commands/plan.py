@@ -42,7 +42,7 @@ def plan_network(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Expect the precision of a close-range network before the photos are taken.
+    """Predict the precision of a close-range network before the photos are taken.
 
     Stations around an object or a test field, with their rolls, are adjusted without errors: sigmas of the
     targets, of the stations and of the camera follow, and the correlations of its parameters. [camera] has

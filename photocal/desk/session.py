@@ -40,7 +40,7 @@ class Desk:
         self.jobs: dict[str, Job] = {}
         self.preview, self.language = "", "en"
         if not self.root.is_dir():
-            raise InputNotFoundError("is no folder", "name the folder of a flight", where=root)
+            raise InputNotFoundError("is not a folder", "name the folder of a flight", where=root)
 
     @property
     def file(self) -> Path:
@@ -55,7 +55,7 @@ class Desk:
         """Work on a folder beneath the root from now on; raises InputNotFoundError outside of it."""
         folder = self.inside(path)
         if not folder.is_dir():
-            raise InputNotFoundError("is no folder", "choose from the list", where=folder)
+            raise InputNotFoundError("is not a folder", "choose from the list", where=folder)
         self.folder = folder
         self.jobs.clear()
         self.preview = ""

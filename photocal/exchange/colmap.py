@@ -98,7 +98,7 @@ class Shot:
 def key_of(value: float, place: object) -> int:
     """Check a number that names something."""
     if not -1 <= value < LARGEST_KEY or value % 1:
-        raise InputMalformedError(f"the number {value:g} names nothing", "is it damaged?", where=place)
+        raise InputMalformedError(f"the number {value:g} refers to nothing", "is it damaged?", where=place)
     return int(value)
 
 
@@ -132,7 +132,7 @@ class _Reader:
         count = int(self.take("Q")[0])
         if count * smallest > len(self.content) - self.at:
             raise InputMalformedError(
-                f"claims {count} entries, more than the file can hold", "is it cut?", where=self.path
+                f"states {count} entries, more than the file can hold", "is it cut?", where=self.path
             )
         return count
 
@@ -258,7 +258,7 @@ def _text_lenses(path: Path) -> Iterator[Lens]:
         if not cells:
             continue
         if len(cells) < 4:
-            raise line.malformed("is no row of a camera")
+            raise line.malformed("is not a row of a camera")
         if cells[1] not in NUMBERS:
             raise unknown_model(cells[1], line.place)
         key, width, height = (whole(cells[k], line.place, "camera") for k in (0, 2, 3))
@@ -273,7 +273,7 @@ def _text_shots(path: Path) -> Iterator[Shot]:
             continue
         cells = line.text.split(maxsplit=9)
         if len(cells) != 10:
-            raise line.malformed("is no row of an image", "is the file cut?")
+            raise line.malformed("is not a row of an image", "is the file cut?")
         values = numbers(" ".join(cells[:9]), line.place, "image")
         marks = next(rows, None)
         if marks is None:
@@ -296,7 +296,7 @@ def _text_points(path: Path) -> Iterator[Point]:
         if not cells:
             continue
         if len(cells) < 8 or len(cells) % 2:
-            raise line.malformed("is no row of a point", "is the file cut?")
+            raise line.malformed("is not a row of a point", "is the file cut?")
         values = numbers(line.text, line.place, "point")
         key, *track = (key_of(value, line.place) for value in (values[0], *values[8:]))
         yield key, values[1:4], values[7], np.array(track, dtype=np.int64).reshape(-1, 2)
@@ -319,7 +319,7 @@ def _text_frames(path: Path) -> Iterator[Frame]:
     for line in read_lines(path):
         cells = line.text.split()
         if len(cells) < 10:
-            raise line.malformed("is no row of a frame", "is the file cut?")
+            raise line.malformed("is not a row of a frame", "is the file cut?")
         key, rig = (whole(cell, line.place, "frame") for cell in cells[:2])
         places = range(10, len(cells) - 2, 3)
         yield (
@@ -384,7 +384,7 @@ def read_colmap(folder: Path) -> Block:
     crooked = np.flatnonzero(np.abs(np.abs(quaternions).max(axis=1, initial=0) - 0.75) > 0.251)
     if len(crooked):
         name = shots[crooked[0]].name
-        raise InputMalformedError(f"the quaternion of image {name} has not the length 1", where=folder)
+        raise InputMalformedError(f"the quaternion of image {name} does not have length 1", where=folder)
     rotation = rotation_from_quaternion(quaternions)
     translation = np.array([shot.translation for shot in shots]).reshape(-1, 3)
     xyz = np.array([place for _, place, _, _ in points], dtype=float).reshape(-1, 3)

@@ -76,12 +76,12 @@ def read_dbat(path: Path) -> Block:
     root = read_xml(path)
     if root.tag != "document" or "dbat_script_version" not in root.attrib:
         raise InputMalformedError(
-            "is no DBAT set-up (dbat_script_version is missing)", "name the set-up file", where=path
+            "is not a DBAT set-up (dbat_script_version is missing)", "name the set-up file", where=path
         )
     given = child(root, "input", path)
     if given.get("base_dir", "$HERE") != "$HERE":
         raise InputMalformedError(
-            f"base_dir {given.get('base_dir')!r} leads out of the set-up's folder",
+            f"base_dir {given.get('base_dir')!r} is outside the folder of the set-up",
             'put the tables beside the set-up and write base_dir="$HERE"',
             where=path,
         )
@@ -92,7 +92,9 @@ def read_dbat(path: Path) -> Block:
     ]
     if len(cameras) > 1:
         raise InputMalformedError(
-            "has several cameras", "split it: which image has which camera is not said", where=path
+            "has several cameras",
+            "split it: the file does not state which image has which camera",
+            where=path,
         )
     surveyed = [*reader.points("ctrl_pts", "control"), *reader.points("check_pts", "check")]
     image_of = {row.name("id"): row.cells.get("path", "") for row in reader.rows("images", _IMAGE_FIELDS)}
@@ -109,7 +111,7 @@ def read_dbat_cameras(path: Path) -> tuple[DbatCamera, ...]:
     """Read a DBAT camera file (dbat_camera_version 1)."""
     root = read_xml(path)
     if "dbat_camera_version" not in root.attrib:
-        raise InputMalformedError("is no DBAT camera file", where=path)
+        raise InputMalformedError("is not a DBAT camera file", where=path)
     return tuple(_camera(element, path, loaded=True) for element in root.iterfind("cameras/camera"))
 
 
@@ -190,7 +192,7 @@ def _estimated_interior(root: Element, path: Path) -> set[str]:
         names = NAMES if element.tag == "all" else _GROUPS.get(element.tag, (element.tag,))
         unknown = [name for name in names if name not in NAMES]
         if unknown:
-            raise InputMalformedError(f"<io> names {unknown[0]}, which is no parameter", where=path)
+            raise InputMalformedError(f"<io> names {unknown[0]}, which is not a parameter", where=path)
         switches.update(dict.fromkeys(names, value))
     return {name for name, on in switches.items() if on}
 
@@ -355,7 +357,7 @@ def _require_expressible(block: Block) -> None:
         or block.relations.kind.size
     ):
         raise InputMalformedError(
-            "the block observes orientations or distances, for which a set-up has no place",
+            "the block observes orientations or distances, which a set-up cannot hold",
             "leave out their sigmas",
         )
     for key, names in _SWITCHES.items():
@@ -364,7 +366,7 @@ def _require_expressible(block: Block) -> None:
             raise InputMalformedError(f"DBAT estimates {', '.join(names)} together or not at all")
     for name in block.points.names:
         if not name.isdecimal():
-            raise InputMalformedError(f"point {name!r} has no number for a name, as DBAT wants it")
+            raise InputMalformedError(f"point {name!r} has a name that is not a number, which DBAT needs")
 
 
 def _count(camera: Camera, key: str) -> int:

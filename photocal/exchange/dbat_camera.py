@@ -124,7 +124,9 @@ def from_dbat(described: DbatCamera, camera_id: str, place: object) -> Camera:
         estimate = tuple(name for name in estimate if name not in ("as", "sk"))
     if number == 5:
         if value["sk"] or "sk" in estimate:
-            raise malformed("the skew of lens model 5 acts elsewhere than its aspect", "use model 3 or 4")
+            raise malformed(
+                "the skew of lens model 5 acts at another place than its aspect", "use model 3 or 4"
+            )
         value["px"] /= 1 + value["as"]
     if not value["cc"] > 0:
         raise malformed("the camera constant is not positive", "give cc")

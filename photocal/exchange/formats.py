@@ -170,7 +170,7 @@ class Format:
                 raise
             raise InputMalformedError(
                 f"could not be read as {self.title} ({type(failure).__name__}: {failure})",
-                f"is it whole? Else ask the makers of {self.module}",
+                f"is it complete? If so, ask the makers of {self.module}",
                 where=path,
             ) from failure
         return given
@@ -276,7 +276,7 @@ def added() -> tuple[Format, ...]:
         except Exception as failure:
             raise _broken(point.value, f"{type(failure).__name__}: {failure}") from failure
         if not isinstance(form, Format):
-            raise _broken(point.value, "it is no Format of photocal.exchange.formats")
+            raise _broken(point.value, "it is not a Format of photocal.exchange.formats")
         formats.append(form)
     return tuple(formats)
 

@@ -158,13 +158,13 @@ def located(given: Reconstruction, choices: Choices) -> tuple[Reconstruction, To
     if given.frame != "local":
         if choices.origin is not None:
             raise ConfigurationError(
-                f"the block lies in {given.frame}, which tells where it is", "leave out --origin"
+                f"the block lies in {given.frame}, which states where it is", "leave out --origin"
             )
 
         return to_cartesian(given), to_wgs84(given)
     if choices.origin is None:
         raise ConfigurationError(
-            "where the local frame lies is not given",
+            "the origin of the local frame is not given",
             "name its origin: --origin LATITUDE,LONGITUDE,HEIGHT (deg, m above the ellipsoid)",
         )
     return given, topocentric(choices.origin)

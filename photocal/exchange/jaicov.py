@@ -77,7 +77,7 @@ def read_scale_bars(path: Path) -> tuple[Bar, ...]:
     for line in read_lines(path):
         row = re.fullmatch(r'\s*\S+\s+"[^"]*"\s+(\S+)\s+(\S+)\s+(\S+)\s+(\S+)\s+([01])\s*', line.text)
         if row is None:
-            raise line.malformed("is no row of a scale bar", "is the file cut?")
+            raise line.malformed("is not a row of a scale bar", "is the file cut?")
         first, second, length, sigma, on = row.groups()
         if on == "1":
             sizes = number(length, line.place, "length") * MM, number(sigma, line.place, "sigma") * MM

@@ -67,7 +67,7 @@ def read_orientation(path: Path) -> tuple[Floats, str]:
     _require_convention(outer, path)
     axes = np.array([_vector(outer, f"ParamRotation/CodageMatr/L{k}", path, 3) for k in (1, 2, 3)])
     if not np.allclose(axes @ axes.T, np.eye(3), atol=1e-6) or np.linalg.det(axes) < 0:
-        raise InputMalformedError("its rotation is no rotation matrix", where=path)
+        raise InputMalformedError("its rotation is not a rotation matrix", where=path)
     centre = np.array(_vector(outer, "Centre", path, 3))
     calibration = text_of(given, "FileInterne", path).replace("\\", "/").rsplit("/", 1)[-1]
     return from_vision(axes.T, -axes.T @ centre), calibration
@@ -130,7 +130,7 @@ def read(path: Path) -> ForeignProject:
         return ForeignProject("MicMac", block)
     sigma = np.where(known, ASSUMED_M, block.points.sigma)
     remark = (
-        f"all points have the uncertainty {PLACEHOLDER:g}, as if nobody had given one: {ASSUMED_M} m assumed"
+        f"all points have the uncertainty {PLACEHOLDER:g}, which looks like a default: {ASSUMED_M} m assumed"
     )
     block = replace(block, points=replace(block.points, sigma=sigma))
     return ForeignProject("MicMac", block, remarks=(remark,))

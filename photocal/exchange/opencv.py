@@ -95,7 +95,7 @@ def _entries(path: Path) -> dict[str, str]:
         }
     text = read_text(path)
     if not text.startswith("%YAML"):
-        raise InputMalformedError("is no YAML file of OpenCV", "it must begin with %YAML:1.0", where=path)
+        raise InputMalformedError("is not a YAML file of OpenCV", "it must begin with %YAML:1.0", where=path)
     return dict(_ENTRY.findall(text))
 
 
@@ -108,7 +108,7 @@ def _matrix(entries: dict[str, str], names: tuple[str, ...], path: Path) -> Floa
     data = _DATA.search(entries[name])
     cells = data[1].split(",") if data else []
     if not cells or shape[0] * shape[1] != len(cells):
-        raise InputMalformedError(f"{name} is no matrix of rows, cols and data", where=path)
+        raise InputMalformedError(f"{name} is not a matrix of rows, cols and data", where=path)
     return np.array([number(cell, path, name) for cell in cells]).reshape(shape)
 
 

@@ -101,7 +101,7 @@ def read_shots(path: Path) -> ForeignProject:
 
     names, turns, places, lonlat = structured(path, "a shots.geojson of ODM", made)
     if not names:
-        raise InputMalformedError("has no shots", "did ODM end well?", where=path)
+        raise InputMalformedError("has no shots", "did ODM finish without errors?", where=path)
     rotation = Rotation.from_rotvec(turns).as_matrix()
     poses = from_vision(rotation, -np.einsum("nij,nj->ni", rotation, places))
     frame, remarks = utm_zone_of(lonlat, places)

@@ -141,7 +141,7 @@ def _read(path: Path) -> Block:
 def _resources(path: Path) -> _Resources:
     project = read_json(path)
     if project["format"] != format_name("project"):
-        raise InputMalformedError("is no OPF project", "name the file project.opf", where=path)
+        raise InputMalformedError("is not an OPF project", "name the file project.opf", where=path)
     _require_version(project, path)
     files: dict[str, Path] = {}
     for item in project["items"]:

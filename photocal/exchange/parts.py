@@ -190,9 +190,9 @@ def distinct(names: Iterable[str]) -> list[str]:
 
 
 def require_file_name(name: str) -> None:
-    """Complain when a name cannot be that of a file inside a folder."""
+    """Complain when a name cannot be a file name inside a folder."""
     if not name or name in (".", "..") or any(letter in '/\\\0:*?"<>|' for letter in name):
-        raise InputMalformedError(f"the name {name!r} cannot be that of a file", "rename it")
+        raise InputMalformedError(f"the name {name!r} cannot be a file name", "rename it")
 
 
 def require_no_blanks(names: Iterable[str], remedy: str = "rename it") -> None:
@@ -225,5 +225,5 @@ def poses_of_matrices(places: Floats, rotation: Floats, names: Sequence[str], pa
     error = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero(~(error < 1e-4) | (np.linalg.det(rotation) < 0))
     if len(bad):
-        raise InputMalformedError(f"the matrix of image {names[bad[0]]} is no rotation", where=path)
+        raise InputMalformedError(f"the matrix of image {names[bad[0]]} is not a rotation", where=path)
     return np.hstack([angles_from_matrix(rotation), places])

@@ -202,7 +202,7 @@ def block_from_export(
     if idle:
         raise InputMalformedError(
             f"object point {', '.join(idle[:5])} has no observation at all",
-            "export its marks, or take it out",
+            "export its marks, or remove it",
             where=place,
         )
     points = [parts.PointEntry(name, "control", xyz, sigma) for name, (xyz, sigma) in control.items()]

@@ -68,7 +68,7 @@ def read_project(path: Path) -> tuple[Block, Chunk]:
             return _block(archive, parse_xml(_member(archive, "doc.xml", path, MAX_XML_BYTES), path), path)
     except _ARCHIVE_FAILURES as failure:
         raise InputMalformedError(
-            f"is no readable archive ({failure})", "was it written completely?", where=path
+            f"is not a readable archive ({failure})", "was it written completely?", where=path
         ) from failure
 
 
@@ -188,7 +188,7 @@ def _member(archive: zipfile.ZipFile, name: str, path: Path, most: int) -> bytes
     try:
         # Other compressions may ask for dictionaries of any size.
         if archive.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise InputMalformedError(f"its {name!r} is compressed in a strange way", where=path)
+            raise InputMalformedError(f"its {name!r} is compressed by an unknown method", where=path)
         with archive.open(name) as member:
             content = member.read(most + 1)
     except KeyError as failure:
@@ -210,10 +210,10 @@ def _ply(archive: zipfile.ZipFile, name: str, wanted: tuple[str, ...], path: Pat
     fields = [(row[2], _TYPES.get(row[1], "")) for row in words if row[:1] == ["property"] and len(row) == 3]
     known = all(kind for _, kind in fields) and len(dict(fields)) == len(fields)
     if len(count) != 1 or not count[0].isdecimal() or not known or not set(wanted) <= set(dict(fields)):
-        raise malformed(f"its {name!r} has not the columns {', '.join(wanted)}")
+        raise malformed(f"its {name!r} does not have the columns {', '.join(wanted)}")
     layout = np.dtype(fields)
     if int(count[0]) * layout.itemsize > len(body):
-        raise malformed(f"its {name!r} claims more rows than it has", "is it cut?")
+        raise malformed(f"its {name!r} states more rows than it has", "is it cut?")
     rows = np.frombuffer(body, layout, int(count[0]))
     if not all(np.isfinite(rows[column]).all() for column in wanted):
         raise malformed(f"its {name!r} has a number that is not finite")

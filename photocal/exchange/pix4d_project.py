@@ -70,7 +70,7 @@ def output_system(file: Path | None, places: Floats) -> tuple[str, str, list[str
             return name, height, [] if height == "orthometric" else [HEIGHTS_UNSAID]
     except PhotocalError:
         return "local", "", [f"{file.name} names no map system in metres: coordinates are taken as Cartesian"]
-    return "local", "", [f"{file.name}: {system.name} does not hold where the block lies: taken as Cartesian"]
+    return "local", "", [f"{file.name}: {system.name} is not valid at the block: taken as Cartesian"]
 
 
 def utm_zone_of(lonlat: Floats, places: Floats) -> tuple[str, tuple[str, ...]]:
@@ -224,7 +224,7 @@ def read(path: Path) -> ForeignProject:
     position, sigma, pose_sigma = _positions(folder, image_names)
     wild = (np.abs(position) > ON_EARTH_M).any(axis=1)
     if wild.any():
-        remarks.append(f"{int(wild.sum())} positions are no place on earth: left out")
+        remarks.append(f"{int(wild.sum())} positions are not on the earth: left out")
         position[wild], sigma[wild] = np.nan, np.nan
     if heads:
         remarks.append(
@@ -240,7 +240,7 @@ def read(path: Path) -> ForeignProject:
     far_m = 1000.0
     if np.isfinite(away).any() and np.nanmedian(away) > far_m:
         remarks.append(
-            f"positions lie {np.nanmedian(away):.0f} m from the adjusted ones: of another system, left out"
+            f"positions are {np.nanmedian(away):.0f} m from the adjusted ones: of another system, left out"
         )
         position, sigma = np.full_like(position, np.nan), np.full_like(sigma, np.nan)
     return ForeignProject(
@@ -271,7 +271,7 @@ def _require_on_earth(places: Iterable[tuple[str, Sequence[float]]], what: str, 
     for name, place in places:
         if max(map(abs, place)) > ON_EARTH_M:
             raise InputMalformedError(
-                f"{what} {name} has the coordinate {max(place, key=abs):g}, which is no place on earth",
+                f"{what} {name} has the coordinate {max(place, key=abs):g}, which is not on the earth",
                 "correct it",
                 where=where,
             )
@@ -303,10 +303,10 @@ def _shots(path: Path) -> list[_Shot]:
         w, h = image_size(float(width), float(height), lines[k].place)
         rows = [numbers(line.text, line.place, "camera") for line in lines[k + 1 : k + _ROWS]]
         if [len(row) for row in rows] != [3, 3, 3, 3, 2, 3, 3, 3, 3]:
-            raise lines[k].malformed("is no image of this file")
+            raise lines[k].malformed("is not an image of this file")
         matrix, rotation = np.array(rows[:3]), np.array(rows[6:])
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
-            raise lines[k].malformed("has a matrix that is no rotation")
+            raise lines[k].malformed("has a matrix that is not a rotation")
         lens = (w, h, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *rows[3], *rows[4])
         shots.append((name.strip().strip('"'), lens, np.array(rows[5]), rotation))
     return shots
@@ -343,7 +343,7 @@ def _rows(path: Path | None, columns: Sequence[str]) -> Iterator[list[str]]:
             lost = [column for column in columns if column.casefold() not in head]
             if lost:
                 raise line.malformed(
-                    f"is no head with a column {lost[0]}", "export the file again, with its first line"
+                    f"is not a header with a column {lost[0]}", "export the file again, with its first line"
                 )
         elif len(cells) != len(head):
             raise line.malformed(
@@ -464,7 +464,7 @@ def read_cam(path: Path, sizes_px: Iterable[tuple[int, int]]) -> tuple[Camera, .
 def _listed_camera(lines: list[Line], sizes: tuple[tuple[int, int], ...], name: str, path: Path) -> Camera:
     found = [sensor for line in lines if (sensor := _SENSOR.match(line.text.strip()))]
     if not found:
-        raise lines[0].malformed("states no width of a sensor", "was it written completely?")
+        raise lines[0].malformed("does not state the width of the sensor", "was it written completely?")
     width, height = (number(cell, lines[0].place, "sensor") for cell in found[0].groups())
     value = dict[str, float]()
     for line in lines:
@@ -479,7 +479,7 @@ def _listed_camera(lines: list[Line], sizes: tuple[tuple[int, int], ...], name: 
     fitting = [size for size in sizes if _shaped(size, width, height)]
     if not fitting:
         raise lines[0].malformed(
-            f"its sensor of {width:g} x {height:g} mm has the shape of no picture",
+            f"its sensor of {width:g} x {height:g} mm does not have the shape of a picture",
             "is it the camera of these pictures?",
         )
     size = fitting[0]

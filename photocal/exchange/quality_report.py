@@ -147,7 +147,7 @@ def _text_of_pdf(path: Path) -> str:
     except Exception as failure:
         # A damaged document makes its reader raise whatever its structure leads to.
         raise InputMalformedError(
-            f"is no readable PDF ({type(failure).__name__}: {str(failure)[:80]})",
+            f"is not a readable PDF ({type(failure).__name__}: {str(failure)[:80]})",
             "open and save it",
             where=path,
         ) from failure

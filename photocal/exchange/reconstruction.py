@@ -162,7 +162,7 @@ def of_result(result: Result) -> Reconstruction:
                 else "distortion with the distance"
             )
             raise ConfigurationError(
-                f"camera {camera.id} varies its {what}: other programs' formats hold one lens for all",
+                f"camera {camera.id} varies its {what}: formats of other programs allow one lens only",
                 "adjust with a lens that does not vary, then export that run",
             )
     images, points, rays = result.images, result.points, result.residuals.accepted
@@ -244,7 +244,7 @@ def to_wgs84(given: Reconstruction) -> Callable[[Floats], Floats]:
         turn(np.zeros((1, 3)))
     except ProjError as failure:
         raise ConfigurationError(
-            f"no way leads from {given.frame} to WGS 84 ({failure})",
+            f"no transformation is known from {given.frame} to WGS 84 ({failure})",
             "install the grids of PROJ, or export a format that keeps the block's own coordinates",
         ) from failure
     return turn

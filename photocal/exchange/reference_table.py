@@ -43,7 +43,7 @@ def read_references(path: Path) -> tuple[str, tuple[PointEntry, ...]]:
         try:
             cells = [cell.strip() for cell in next(csv.reader(io.StringIO(line), strict=True))]
         except csv.Error as failure:
-            raise InputMalformedError(f"is no row of a table ({failure})", where=place) from failure
+            raise InputMalformedError(f"is not a row of a table ({failure})", where=place) from failure
         if len(cells) != len(header):
             comma = len(cells) > len(header)
             raise InputMalformedError(

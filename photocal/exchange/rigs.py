@@ -181,7 +181,7 @@ def of_colmap(
 def _prefixed(camera: dict[str, Any], path: Path) -> tuple[str, bool, Sensor]:
     first, prefix = bool(camera.get("ref_sensor")), camera["image_prefix"]
     if not isinstance(prefix, str):
-        raise TypeError("an image_prefix is no text")
+        raise TypeError("an image_prefix is not text")
     if first:
         return prefix, first, (np.eye(3), np.zeros(3))
     if "cam_from_rig_rotation" not in camera:
@@ -194,7 +194,7 @@ def sensor_of(wxyz: Sequence[float], shift: Sequence[float], place: object) -> S
     """Rotation and translation from rig to sensor, of a quaternion w, x, y, z."""
     quaternion = np.array(wxyz, dtype=float).reshape(4)
     if not abs(np.linalg.norm(quaternion) - 1) < LARGEST_MISFIT:
-        raise InputMalformedError("the quaternion of a sensor of a rig has not the length 1", where=place)
+        raise InputMalformedError("the quaternion of a sensor of a rig does not have length 1", where=place)
     return rotation_from_quaternion(quaternion), np.array(shift, dtype=float).reshape(3)
 
 
@@ -257,7 +257,7 @@ def slave_in_master(sensor: Element, path: Path) -> Floats:
         matrix[:3, :3] = np.array(numbers(turn, path, "rotation", 9)).reshape(3, 3)
         misfit = np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max()
         if not misfit < LARGEST_MISFIT or np.linalg.det(matrix[:3, :3]) < 0:
-            raise InputMalformedError("the rotation of a sensor of a rig is no rotation", where=path)
+            raise InputMalformedError("the rotation of a sensor of a rig is not a rotation", where=path)
     if place := sensor.findtext("location"):
         matrix[:3, 3] = numbers(place, path, "location", 3)
     return matrix

@@ -55,7 +55,7 @@ def require_readable(path: Path) -> int:
     size = require_file(path)
     if size > MAX_BYTES:
         raise InputMalformedError(
-            f"has {size / 2**30:.1f} GiB, more than the {MAX_BYTES / 2**30:.0f} GiB that are read",
+            f"has {size / 2**30:.1f} GiB, more than the {MAX_BYTES / 2**30:.0f} GiB that can be read",
             "is it the right file?",
             where=path,
         )
@@ -66,7 +66,7 @@ def read_text(path: Path) -> str:
     """Read a text file: UTF-8, or UTF-16 with its mark.
 
     raises InputNotFoundError: when it is missing, empty or a folder.
-    raises InputMalformedError: when it is no text of these encodings.
+    raises InputMalformedError: when it is not text of these encodings.
     """
     require_readable(path)
     content = path.read_bytes()

@@ -283,10 +283,10 @@ def pdf(document: Document, date: dt.date) -> bytes:
         pages = compiler.compile(template, format="pdf", timestamp=midnight)
     except typst.TypstError as refusal:
         raise OutputError(
-            f"the PDF could not be set ({refusal})", "report this with the run folder"
+            f"the PDF could not be typeset ({refusal})", "report this with the run folder"
         ) from None
     if not isinstance(pages, bytes):
-        raise OutputError("the PDF could not be set (no single file)", "report this with the run folder")
+        raise OutputError("the PDF could not be typeset (no single file)", "report this with the run folder")
     return pages
 
 

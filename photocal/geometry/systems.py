@@ -1,4 +1,4 @@
-"""Coordinate systems as people call them: by name, alias or country, held against coordinates and places."""
+"""Coordinate systems as people call them: by name, alias or country, compared with coordinates and places."""
 
 import re
 import sqlite3

@@ -9,7 +9,7 @@ import numpy as np
 from photocal.accuracy.classes import class_cm, condition
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.maps import check_figures, save_figures, write_geopackage
-from photocal.accuracy.output import remarks
+from photocal.accuracy.output import localised, marked, remarks
 from photocal.accuracy.output import to_json as assessment_json
 from photocal.accuracy.standard import size_text
 from photocal.base.arrays import Floats, as_plain, picked
@@ -33,56 +33,69 @@ _AXES = ("X", "Y", "Z")
 _POSE = ("omega_deg", "phi_deg", "kappa_deg", "X_m", "Y_m", "Z_m")
 
 
-def _standards(check: BlockCheck) -> list[TablePart]:
+def _standards(check: BlockCheck, say: Catalogue) -> list[TablePart]:
     """Give one row for each statement, one column for each method that has check points."""
     judged = [(entry.result.method, entry.assessment) for entry in check.judged]
     known = [(method, assessment) for method, assessment in judged if assessment is not None]
     if not known:
         return []
-    heads = ["", *(f"{method}<" for method, _ in known)]
+    none = say("shown.none")
+    heads = ["", *(f"{say(f'shown.{method}')}<" for method, _ in known)]
     rows: list[tuple[str, ...]] = []
     for k, axis in enumerate("XYZ"):
-        means = [_mean(entry.check, k) for entry in check.judged if entry.assessment is not None]
-        rows.append((f"mean d{axis}", *means))
+        means = [_mean(entry.check, k, say) for entry in check.judged if entry.assessment is not None]
+        rows.append((say("checked.mean", axis=axis), *means))
     for k, judged_by in enumerate(known[0][1].tables):
         name, basis = f"{judged_by.standard_id} {judged_by.table.product}", judged_by.table.basis
         results = [assessment.tables[k] for _, assessment in known]
         if judged_by.size is not None:
             asked = size_text(basis, judged_by.size)
             cells = [
-                f"precision {result.precision_class or 'none'}, accuracy {result.accuracy_class or 'none'}"
+                say(
+                    "checked.both",
+                    precise=result.precision_class or none,
+                    accurate=result.accuracy_class or none,
+                )
                 for result in results
             ]
             points = len(known[0][1].discrepancies.points)
-            rows.append((f"{name} at {asked}, {points} check points", *cells))
+            rows.append((say("checked.asked", name=name, size=asked, points=points), *cells))
         best = judged_by.admitted[0].name
         smallest = [result.admitted[0] for result in results]
         cells = [
-            f"precision {_size(basis, admitted.precision)}, accuracy {_size(basis, admitted.accuracy)}"
+            say(
+                "checked.both",
+                precise=_size(basis, admitted.precision, none),
+                accurate=_size(basis, admitted.accuracy, none),
+            )
             for admitted in smallest
         ]
-        rows.append((f"{name}, class {best} from", *cells))
+        rows.append((say("checked.from", name=name, best=best), *cells))
     for k, value in enumerate(known[0][1].values):
         reached = [assessment.values[k] for _, assessment in known]
         cells = [
-            f"{_class(least.horizontal_m)} horizontal, {_class(least.vertical_m)} vertical "
-            f"({condition(least)})"
+            say(
+                "checked.reached_both",
+                horizontal=_class(least.horizontal_m),
+                vertical=_class(least.vertical_m),
+                condition=condition(least),
+            )
             for least in reached
         ]
-        rows.append((f"{value.standard.id}, class reached", *cells))
-    return [table("", heads, rows)]
+        rows.append((say("checked.reached", name=value.standard.id), *cells))
+    return [table("", heads, [(row[0], *localised([row[1:]], say)[0]) for row in rows])]
 
 
-def _mean(check: Differences, axis: int) -> str:
+def _mean(check: Differences, axis: int, say: Catalogue) -> str:
     """Give a mean with its sigma; whether check points are biased is asked once, for all axes."""
     mean, joint = f"{check.d[:, axis].mean():+.4f}", check.joint
     if joint is None:
         return f"{mean} m"
-    return f"{mean} +- {joint.mean_sigma[axis]:.4f} m{', biased' if joint.biased else ''}"
+    return f"{mean} +- {joint.mean_sigma[axis]:.4f} m{say('checked.biased') if joint.biased else ''}"
 
 
-def _size(basis: str, size: float | None) -> str:
-    return "none" if size is None else size_text(basis, size).removeprefix("interval ")
+def _size(basis: str, size: float | None, none: str) -> str:
+    return none if size is None else size_text(basis, size).removeprefix("interval ")
 
 
 def _class(rmse_m: float | None) -> str:
@@ -203,107 +216,104 @@ def block_verdict(check: BlockCheck, findings: tuple[Finding, ...]) -> Verdict:
     return judge(findings, Known(len(block.images.names), block.datum != "free", calibrated))
 
 
-def sections(check: BlockCheck, given: Verdict | None = None, *, details: bool = True) -> list[Section]:
+def sections(
+    check: BlockCheck, say: Catalogue, given: Verdict | None = None, *, details: bool = True
+) -> list[Section]:
     """Say what is known of a block: figures in m.
 
     given: the verdict of the project that the block belongs to; else that of the check alone.
     details: points, tests and findings in full, beside the verdict and the figures of the methods.
     """
-    heads = ["method", "points", "n", "RMSE X", "Y", "Z", "sigma X", "Y", "Z"]
-    heads += ["survey X", "Y", "Z", "error/sigma"]
-    rows = [_row(judged, group) for judged in check.judged for group in judged.differences]
-    labels = Remarks(tuple(map(_label, check.judged)))
-    assumed = ", from standard deviations that are assumed: nothing tests them"
-    untested = assumed if check.block.global_test[1] == "none" else ""
-    intro = Paragraph(
-        f"Differences are {SIGN}, in metres; sigma is predicted, a priori{untested}; survey is what the "
-        "survey states of its own points."
-    )
-    found, points = block_findings(check), [piece for judged in check.judged for piece in _points(judged)]
+    rows = [_row(judged, group, say) for judged in check.judged for group in judged.differences]
+    cells = [(*row[:2], *localised([row[2:]], say)[0]) for row in rows]
+    labels = Remarks(tuple(_label(judged, say) for judged in check.judged))
+    untested = say("checked.untested") if check.block.global_test[1] == "none" else ""
+    intro = Paragraph(say("checked.intro", sign=say("shown.sign"), untested=untested))
+    found = block_findings(check)
+    points = [piece for judged in check.judged for piece in _points(judged, say)]
     listed = [
-        verdict_section(given or block_verdict(check, found), catalogue("en")),
-        Section("", (intro, table("", heads, rows), labels)),
-        Section("Bias and classes", tuple(_standards(check))),
+        verdict_section(given or block_verdict(check, found), say),
+        Section("", (intro, table("", say("checked.heads").split("|"), cells), labels)),
+        Section(say("checked.classes"), tuple(_standards(check, say))),
     ]
     if details:
         listed += [
-            Section("Ground points", tuple(points)),
-            Section("Orientations and systematic errors", tuple(_errors(check))),
-            Section("Findings", (remarks(found),)),
+            Section(say("checked.points"), tuple(points)),
+            Section(say("checked.errors"), tuple(_errors(check, say))),
+            Section(say("checked.findings"), (remarks(found, say),)),
         ]
     return [section for section in listed if section.pieces]
 
 
-def to_text(check: BlockCheck, given: Verdict | None = None, *, details: bool = True) -> str:
-    """Write a block's check for people; parameters as of `sections`."""
-    return f"{check.block.name}\n{text(sections(check, given, details=details))}"
+def to_text(
+    check: BlockCheck, given: Verdict | None = None, say: Catalogue | None = None, *, details: bool = True
+) -> str:
+    """Write a block's check for people, in English unless asked otherwise; the rest as of `sections`."""
+    return f"{check.block.name}\n{text(sections(check, say or catalogue('en'), given, details=details))}"
 
 
-def _errors(check: BlockCheck) -> list[Piece]:
+def _errors(check: BlockCheck, say: Catalogue) -> list[Piece]:
     pieces: list[Piece] = []
     if check.exposures is not None:
         e = check.exposures
         angles = " ".join(f"{v:.4f}" for v in np.degrees(e.rmse[:3]))
         places = " ".join(f"{v:.3f}" for v in e.rmse[3:])
-        said = f"orientation, direct less indirect, RMSE over {e.images} images: "
-        pieces.append(Paragraph(f"{said}omega phi kappa {angles} deg, X Y Z {places} m"))
+        figures = marked({"angles": angles, "places": places}, say)
+        pieces.append(Paragraph(say("checked.exposures", images=e.images, **figures)))
     if check.systematic is not None:
         rows = [
             (
                 tested.name,
                 f"{tested.f:.1f}",
                 f"{tested.critical:.1f}",
-                _significant(tested.significant),
+                _significant(tested.significant, say),
                 ", ".join(estimate_text(e) for e in tested.estimates[:3]),
             )
             for tested in check.systematic.tested
         ]
         note = "\n".join(check.systematic.untested)
-        heads = ("freed", "F", "limit", "<", "estimates<")
-        pieces.append(table("systematic errors, each freed alone", heads, rows, note))
-        left = [f"{estimate_text(e)}, {_significant(e.significant)}" for e in check.systematic.free_in_block]
-        title = "left free in block.toml, estimated by the integrated method:"
-        pieces += [Paragraph("\n".join([title, *left]))] if left else []
-    refused = [f"{method}: not possible: {reason}" for method, reason in check.refused]
+        heads = say("checked.freed_heads").split("|")
+        pieces.append(table(say("checked.freed"), heads, localised(rows, say), note))
+        free = check.systematic.free_in_block
+        left = [f"{estimate_text(e)}, {_significant(e.significant, say)}" for e in free]
+        pieces += [Paragraph("\n".join([say("checked.left"), *left]))] if left else []
+    refused = [say("checked.refused", method=method, reason=reason) for method, reason in check.refused]
     return [*pieces, Paragraph("\n".join(refused))] if refused else pieces
 
 
-def _significant(decision: bool) -> str:
-    return "significant" if decision else "not significant"
+def _significant(decision: bool, say: Catalogue) -> str:
+    return say("checked.significant" if decision else "checked.not_significant")
 
 
-def _label(judged: Judged) -> str:
+def _label(judged: Judged, say: Catalogue) -> str:
     """What the method is, and how many check points lie within the ground sampling distance."""
     plane = judged.assessment.plane if judged.assessment else None
     if judged.assessment is None or plane is None or plane.within_gsd is None:
         return judged.result.label
     (within_one, within_two), gsd = plane.within_gsd, judged.assessment.question.gsd_m
-    return (
-        f"{judged.result.label}; of {plane.n} check points {within_one} lie in plane within a GSD "
-        f"({gsd:.3f} m), {within_two} within two"
-    )
+    counts = {"n": plane.n, "one": within_one, "two": within_two}
+    return say("checked.within", label=judged.result.label, **counts, **marked({"gsd": f"{gsd:.3f}"}, say))
 
 
-def _row(judged: Judged, group: Differences) -> tuple[str, ...]:
+def _row(judged: Judged, group: Differences, say: Catalogue) -> tuple[str, ...]:
     ratio = "-" if math.isnan(group.ratio) else f"{group.ratio:.2f}"
     figures = (f"{v:.4f}" for v in (*group.rmse, *group.predicted, *group.survey))
-    return (judged.result.method, group.role, str(len(group.names)), *figures, ratio)
+    names = say(f"shown.{judged.result.method}"), say(f"shown.{group.role}")
+    return (*names, str(len(group.names)), *figures, ratio)
 
 
-def _points(judged: Judged) -> list[Piece]:
+def _points(judged: Judged, say: Catalogue) -> list[Piece]:
     pieces: list[Piece] = []
     for group in judged.differences:
-        method, joint = judged.result.method, group.joint
+        method, joint = say(f"shown.{judged.result.method}"), group.joint
         note = ""
         if joint is not None:
             pairs = zip("XYZ", joint.mean, joint.mean_sigma, strict=True)
             means = ", ".join(f"{axis} {mean:+.4f} +- {sigma:.4f}" for axis, mean, sigma in pairs)
-            note = (
-                f"{method}, check points jointly: d' C^-1 d {joint.chi_squared:.1f} over "
-                f"{joint.degrees_of_freedom} (p {joint.p_value:.3f}); mean {means} "
-                f"(p {joint.mean_p_value:.3f})"
-            )
-        heads = ["point", *(f"{what}{axis}" for what in ("d", "sigma ", "w ") for axis in "XYZ")]
+            figures = {"chi": f"{joint.chi_squared:.1f}", "p": f"{joint.p_value:.3f}", "means": means}
+            figures |= {"mean_p": f"{joint.mean_p_value:.3f}"}
+            freedom = joint.degrees_of_freedom
+            note = say("checked.jointly", method=method, freedom=freedom, **marked(figures, say))
         rows = [
             (
                 name,
@@ -313,8 +323,9 @@ def _points(judged: Judged) -> list[Piece]:
             )
             for name, d, s, w in zip(group.names, group.d, group.product_sigma, group.w, strict=True)
         ]
-        title = f"{method}, {group.role} points: d, predicted sigma of the point, w"
-        pieces.append(table(title, heads, rows, note))
+        title = say("checked.points_title", method=method, role=say(f"shown.{group.role}"))
+        cells = [(row[0], *localised([row[1:]], say)[0]) for row in rows]
+        pieces.append(table(title, say("checked.points_heads").split("|"), cells, note))
     return pieces
 
 
@@ -325,17 +336,20 @@ def write_check(
     system: ReferenceSystem,
     changed_utc: str,
     given: Verdict | None = None,
+    say: Catalogue | None = None,
 ) -> tuple[str, ...]:
     """Write the results of a check.
 
     system: of the block's coordinates, for the GeoPackage.
-    given: as of `sections`.
+    given, say: as of `sections`; English where no language is given.
     raises OutputError: when the folder cannot be written; nothing is then left half-written.
     """
     texts = {
         "ground_points.csv": _ground_points(content["methods"]),
         "images.csv": _images(check),
-        "report.md": markdown(_TITLE.format(check.block.name), sections(check, given)),
+        "report.md": markdown(
+            _TITLE.format(check.block.name), sections(check, say or catalogue("en"), given)
+        ),
     }
     if check.systematic is not None:
         texts["systematic_errors.csv"] = _systematic_csv(check.systematic)

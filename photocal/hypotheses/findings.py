@@ -261,7 +261,7 @@ def _changes(order: tuple[int, ...], sign: tuple[float, ...]) -> tuple[str, ...]
 
 
 def _scale(error: SystematicError, trend: Floats, factor: float) -> Finding:
-    """A scale of the positions against control, held against the combined factor of a map frame."""
+    """A scale of the positions against control, compared with the combined factor of a map frame."""
     (scale,) = error.hypothesis.estimates
     clauses, unsure = ["scale-of-ground"], policy.times_999 * scale.sigma
     if math.isfinite(factor):

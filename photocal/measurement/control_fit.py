@@ -113,7 +113,7 @@ def fit_control(adjusted: AdjustedTies, start: Block, views: OrientedImages) -> 
         for k, j in enumerate(judged)
         if not fit.fits[k] and (controlled or placed)
     ]
-    # What has a single ray is held against where the others put it.
+    # What has a single ray is compared with where the others put it.
     single = np.bincount(rays.tracks.track, minlength=len(points.names)) == 1
     if controlled or placed:
         limit = _limit_px(views) + _tolerance(target[judged[fit.fits]], sigma[fit.fits]) / (move.scale * gsd)
@@ -123,7 +123,7 @@ def fit_control(adjusted: AdjustedTies, start: Block, views: OrientedImages) -> 
             if not keeps[j]:
                 findings.append(_off(points.names[j], float(away[j] * move.scale * gsd), float(away[j])))
     keeps |= _checks_here(points, rays.met, target, move, surveyed & (controlled or placed))
-    # What counts in plane or height alone is held against nothing here.
+    # What counts in plane or height alone is compared with nothing here.
     partly = points.of_role("control") & ~np.isfinite(points.sigma).all(axis=1)
     keeps |= partly & (controlled or placed)
     # What is marked nowhere does no harm, and is named as such.
@@ -260,7 +260,7 @@ def _turned(move: Similarity, *, whole: bool) -> float:
 
 
 def _beside_positions(source: Floats, target: Floats, adjusted: AdjustedTies) -> _Fit:
-    """Points that are too few to say how the block lies, held against its positions."""
+    """Points that are too few to say how the block lies, compared with its positions."""
     miss = target - source
     level = max(AGAINST_M, AGAINST * _position_sigma(adjusted))
     fits = (np.linalg.norm(miss[:, :2], axis=1) <= level) & (np.abs(miss[:, 2]) <= AGAINST_UP_M)

@@ -1,4 +1,4 @@
-"""Control as people type it, looked at before any work: twins, slips of single points, single marks."""
+"""Control as people type it, reviewed before any work: duplicates, blunders, single marks."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -55,7 +55,7 @@ class Stray:
 
 
 def stray_points(points: ObjectPoints, crs: str) -> tuple[Stray, ...]:
-    """Points far from where most of the others are, with the slip that would bring them there."""
+    """Points far from where most of the others are, with the typing error that would explain it."""
     places = points.values[:, :2]
     known = np.isfinite(places).all(axis=1) & ~points.of_role("tie")
     if known.sum() < 3:
@@ -140,7 +140,7 @@ def heights_apart(points: ObjectPoints) -> Iterator[str]:
         return
     middle = float(np.median(heights[known]))
     if np.ptp(heights[known]) == 0.0:
-        yield f"the heights of all {len(known)} points are {middle:g}, which no survey gives"
+        yield f"the heights of all {len(known)} points are {middle:g}, which a survey hardly gives"
     usual = float(np.median(np.abs(heights[known] - middle)))
     width = float(
         np.linalg.norm(np.ptp(np.sort(points.values[known, :2], axis=0)[len(known) // 6 :], axis=0))
@@ -157,7 +157,7 @@ def alone(marks: Sequence[Mark], points: ObjectPoints) -> Iterator[str]:
     count = Counter(mark.point for mark in marks)
     single = [name for name in points.names if count[name] == 1]
     if single:
-        yield f"marked in one picture only: {listed(single)}; a mark in a second picture gives it a place"
+        yield f"marked in one picture only: {listed(single)}; it needs a mark in a second picture"
     bare = [name for name in points.names if not count[name]]
     if bare and count:
         yield f"without a mark: {listed(bare)}"

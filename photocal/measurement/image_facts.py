@@ -228,7 +228,7 @@ def read_facts(path: Path) -> ImageFacts:
 
     Every stage of a run asks: what was read of a file is kept as long as the file is the same.
 
-    raises InputNotFoundError, InputMalformedError: when the file is no readable image.
+    raises InputNotFoundError, InputMalformedError: when the file is not a readable image.
     """
     try:
         state = path.stat()

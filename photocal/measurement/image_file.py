@@ -48,7 +48,7 @@ class PictureTooLargeError(InputMalformedError):
 def list_images(folder: Path) -> tuple[Path, ...]:
     """List the image files of a folder, by their names; of one without, those of the folders in it.
 
-    folder: may be a pattern of names with * and ?, such as `DCIM/DJI_*/*_W.JPG`, where it is no folder.
+    folder: may be a pattern of names with * and ?, such as `DCIM/DJI_*/*_W.JPG`, where it is not a folder.
 
     raises InputNotFoundError: when the folder does not exist or has no image.
     raises InputMalformedError: when folders in it have images of the same names.
@@ -66,7 +66,7 @@ def list_images(folder: Path) -> tuple[Path, ...]:
     unread = sorted({path.suffix for path in files if path.suffix.lower() in UNREAD})
     if not pictures and unread:
         raise InputNotFoundError(
-            f"has only pictures that are not read ({', '.join(unread)})",
+            f"has only pictures that cannot be read ({', '.join(unread)})",
             "save them as JPEG or TIFF in full size, neither turned nor corrected for distortion",
             where=folder,
         )
@@ -101,7 +101,7 @@ def _of_pattern(root: Path, pattern: str, where: Path) -> list[Path]:
     fitting = [path for path in root.glob(pattern) if not path.name.startswith(".")]
     pictures = [path for path in fitting if path.suffix.lower() in SUFFIXES and path.is_file()]
     if not pictures:
-        raise InputNotFoundError("fits no image", f"it takes {', '.join(SUFFIXES)}", where=where)
+        raise InputNotFoundError("does not match any image", f"it takes {', '.join(SUFFIXES)}", where=where)
     require_names(pictures)
     return _each_once(pictures, where)
 
@@ -164,7 +164,7 @@ def opened(path: Path) -> Iterator[Image]:
         if type(failure).__name__ == "UnidentifiedImageError":
             raise _unknown(path) from failure
         raise InputMalformedError(
-            f"cannot be read ({failure})", "copy the image again or take it out", where=path
+            f"cannot be read ({failure})", "copy the image again or remove it", where=path
         ) from failure
     finally:
         Image.MAX_IMAGE_PIXELS = limit
@@ -290,17 +290,17 @@ def _unknown(path: Path) -> InputMalformedError:
         head = file.read(12)
     if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
         return InputMalformedError(
-            "is a TIFF of a kind that is not read",
+            "is a TIFF of an unsupported kind",
             "save it with 8 or 16 bits a band, grey or RGB",
             where=path,
         )
     if head[4:8] == b"ftyp":
         return InputMalformedError(
-            "is a HEIC or AVIF picture, which is not read, whatever its name",
+            "is a HEIC or AVIF picture, which is not supported, whatever its name",
             "save it as JPEG in full size",
             where=path,
         )
-    return InputMalformedError("is not an image", "copy the image again or take it out", where=path)
+    return InputMalformedError("is not an image", "copy the image again or remove it", where=path)
 
 
 def _require_sensible(path: Path, size: tuple[int, int]) -> None:
@@ -310,7 +310,7 @@ def _require_sensible(path: Path, size: tuple[int, int]) -> None:
     largest_px = 700_000_000
     if width * height > largest_px:
         raise malformed(
-            f"claims {width} x {height} pixels", f"is the header damaged? At most {largest_px:_} are read"
+            f"states {width} x {height} pixels", f"is the header damaged? At most {largest_px:_} are read"
         )
     # Smaller ones are icons, no photographs.
     smallest_side_px = 16

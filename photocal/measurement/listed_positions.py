@@ -1,4 +1,4 @@
-"""Event lists and tables of positions, judged before they are believed: faults are named by their lines."""
+"""Event lists and tables of positions, judged before they are used: faults are named by their lines."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -160,7 +160,7 @@ def judge_marks(lines: Sequence[str], time_s: Floats, accuracy_s: Floats) -> lis
 def judge_against_pictures(
     lines: Sequence[str], listed: Floats, listed_sigma: Floats, stated: Floats, stated_sigma: Floats
 ) -> tuple[Flags, list[Finding]]:
-    """Hold listed positions against those that the pictures of the same exposures state, in plane.
+    """Compare listed positions with those that the pictures of the same exposures state, in plane.
 
     listed, stated (n, 3): latitude, longitude (deg), height (m); NaN where not known.
     listed_sigma, stated_sigma (n, 3): east, north, up, m; NaN where not told.

@@ -117,7 +117,7 @@ def read_typed_list(path: Path, sigma_m: Sigma) -> ControlMarks:
     most_m = 1e11
     for row in given:
         if max(map(abs, row.xyz)) > most_m:
-            refused.append(f"{row.line.place}: {max(row.xyz, key=abs):g} is no coordinate of this earth")
+            refused.append(f"{row.line.place}: {max(row.xyz, key=abs):g} is not a coordinate on the earth")
             continue
         if row.name and places.get(row.name, row.xyz) != row.xyz:
             refused.append(f"{row.line.place}: {row.name} has other coordinates than before")
@@ -179,7 +179,7 @@ def _chunk(path: Path) -> Element:
     malformed = InputMalformedError.at(path)
     if not chunks:
         raise malformed(
-            "is no XML of Metashape's markers, the only one that is read",
+            "is not an XML file of Metashape's markers, the only XML that is supported",
             "from Pix4D export the marks as text (*.txt or *.csv: image, point, x, y)",
         )
     if len(chunks) != 1:
@@ -250,7 +250,9 @@ def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
                     y = y * max(width, height) + (height - 1) / 2
                     marks.append(Mark(image, name, x, y, _BY_HAND, path))
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as failure:
-        raise malformed(f"is no ground_control_points.json ({failure})", "is it the right file?") from failure
+        raise malformed(
+            f"is not a ground_control_points.json ({failure})", "is it the right file?"
+        ) from failure
     if not entries:
         raise malformed("has no point with coordinates", "is it the right file?")
     return ControlMarks("EPSG:4326", object_points(entries), tuple(marks), tuple(bare))
@@ -318,8 +320,8 @@ def _order(head: Sequence[str], path: Path) -> tuple[int, ...] | None:
         here = [k for k, cell in enumerate(head) if cell in words]
         if len(here) != 1:
             raise InputMalformedError(
-                f"its head {', '.join(head)!r} does not say which column is the {what}",
-                "head them image_name,gcp_name,image_u,image_v, or leave the head out",
+                f"its header {', '.join(head)!r} does not say which column is the {what}",
+                "name the columns image_name,gcp_name,image_u,image_v, or leave the header out",
                 where=path,
             )
         order.append(here[0])

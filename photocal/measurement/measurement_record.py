@@ -1,4 +1,4 @@
-"""What is told of a measurement: its figures, what was left out and why, marks that do not fit.
+"""Record of a measurement: its figures, what was left out and why, marks that do not fit.
 
 A block that was measured, and the record of how.
 """

@@ -24,7 +24,7 @@ class MeasureOptions(Options):
         Option("Marks for a project: of Pix4D (.csv, .txt), Metashape (.xml, .csv), OpenSfM, gcp_list.txt."),
     ] = ()
     height: Annotated[str, Option("Height kind of the control points: ellipsoidal or orthometric.")] = ""
-    crs: Annotated[str, Option("System of the control points where their file does not say it right.")] = ""
+    crs: Annotated[str, Option("System of the control points where their file states a wrong one.")] = ""
     gcp_sigma: Annotated[
         str, Option("Sigma of control points, horizontal,vertical, m, where their file has none.")
     ] = "0.02,0.03"

@@ -98,7 +98,7 @@ class GivenControl:
         given = read_control_marks(self.path, self.sigma_m, {})
         if given.crs != "local" and self.height not in ("ellipsoidal", "orthometric"):
             raise ConfigurationError(
-                "does not say what its heights are",
+                "does not state its height kind",
                 "give --height ellipsoidal or --height orthometric",
                 where=self.path,
             )

@@ -251,7 +251,7 @@ FACTS: tuple[Fact, ...] = (
         "lever arm",
     ),
     Fact(
-        "mount_deg", "deg", "roll, pitch, yaw by Pix4D's tags; of camera or aircraft, as the maker likes",
+        "mount_deg", "deg", "roll, pitch, yaw by Pix4D's tags; of camera or aircraft, depending on the maker",
         "triple",
         (_triple_of("Camera", "Roll", "Pitch", "Yaw"),),
         "attitude of old Autel firmware (pitch 0 looks down); of others shown only",

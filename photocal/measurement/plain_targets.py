@@ -91,7 +91,7 @@ def _too_small(predicted: Iterable[Sequence[PredictedTarget]]) -> tuple[str, ...
         if known is None or target.look.semi_axes[1] > known.look.semi_axes[1]:
             largest[target.point] = target
     return tuple(
-        f"point {name}: its {look.kind} is seen {2 * look.semi_axes[1]:.1f} px wide at most, "
+        f"point {name}: its {look.kind} appears {2 * look.semi_axes[1]:.1f} px wide at most, "
         f"{SMALLEST_PX[look.kind]:g} px are needed"
         for name, look in ((name, target.look) for name, target in largest.items())
         if not look.large_enough

@@ -103,7 +103,7 @@ def map_places(facts: Sequence[ImageFacts], crs: str) -> Floats:
         east, north = way.transform(longitude, latitude, errcheck=True)
     except ProjError as refusal:
         raise ConfigurationError(
-            f"positions of the images cannot be taken to {crs} ({refusal})",
+            f"positions of the images cannot be transformed to {crs} ({refusal})",
             "name a system that covers the place",
         ) from refusal
     places[known] = np.column_stack([east, north, altitude])
@@ -154,7 +154,7 @@ def _require_credible(listed: ListedPositions, path: Path) -> None:
     if wrong:
         raise UnbelievableListError(
             finding_text(wrong[0], catalogue("en"), plain).rstrip("."),
-            "correct these lines or take them out; leave the cells of unknown sigmas empty",
+            "correct these lines or remove them; leave the cells of unknown sigmas empty",
             where=path,
         )
 
@@ -239,7 +239,7 @@ def _in_degrees(crs: str, listed: Mapping[str, tuple[float, ...]], path: Path) -
 
     malformed = InputMalformedError.at(path)
     if not crs:
-        raise malformed("does not name its system", "head its columns latitude and longitude")
+        raise malformed("does not state its system", "name its columns latitude and longitude")
     values = np.array(list(listed.values()), dtype=float).reshape(-1, 6)
     try:
         system = system_of(crs)
@@ -263,13 +263,13 @@ def frames_of(frame: str, crs: str) -> tuple[Realization, Realization]:
     source, target = realization(frame), known_realization(crs)
     if source.moves and np.isnan(source.epoch):
         raise ConfigurationError(
-            f"the ground moves in {source.frame}: positions in it need an epoch",
+            f"positions in {source.frame} change with time and need an epoch",
             f'write "{source.frame}@2026.9" with the epoch of the flight in years',
             where=KEY,
         )
     if target is None:
         raise ConfigurationError(
-            f"{crs} does not say in which frame and epoch it counts: nothing known leads from {source} there",
+            f"{crs} does not state its frame and epoch: no transformation is known from {source} there",
             "name a system of the national frame, such as EPSG:31982, or leave the key out",
             where=KEY,
         )
@@ -287,15 +287,15 @@ def shift_of_positions(frame: str, crs: str, facts: ImageFacts) -> FrameShift:
     shift = frame_shift(place, source, target)
     if shift is None:
         raise ConfigurationError(
-            f"nothing known leads from {source} to {crs}",
-            "take the positions there by another program, and leave the key out",
+            f"no transformation is known from {source} to {crs}",
+            "transform the positions with another program, and leave the key out",
             where=KEY,
         )
     return shift
 
 
 def in_project(facts: ImageFacts, shift: FrameShift) -> ImageFacts:
-    """Facts of a picture with its position moved; the uncertainty of the way joins its sigmas."""
+    """Facts of a picture with its position moved; the uncertainty of the transformation enters its sigmas."""
     if not facts.has_position:
         return facts
     turn = enu_axes(facts.latitude_deg, facts.longitude_deg)

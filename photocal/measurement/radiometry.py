@@ -1,4 +1,4 @@
-"""Radiometry of a camera: MTF at a slanted edge, a Siemens star, fall of light to the corners, linearity."""
+"""Radiometry of a camera: MTF at a slanted edge, a Siemens star, vignetting, linearity."""
 
 import math
 from collections.abc import Iterable
@@ -148,7 +148,7 @@ def siemens_star(
         radius < c < n - radius for c, n in zip(centre, values.shape[::-1], strict=True)
     ):
         raise InputMalformedError(
-            "has no whole star there", remedy="give column, row and radius of the star, in pixels"
+            "has no complete star there", remedy="give column, row and radius of the star, in pixels"
         )
     inner = radius * np.array([0.4, 0.6, 0.8])
     corners = np.array(centre) + np.array([[0, 0], [2, 0], [0, 2]])
@@ -165,7 +165,7 @@ def siemens_star(
 
 
 def even_surface(pictures: Iterable[tuple[float, Grey]]) -> dict[str, float]:
-    """Measure fall of light and linearity in pictures of an even surface with their exposure times (s).
+    """Measure vignetting and linearity in pictures of an even surface with their exposure times (s).
 
     raises InputMalformedError: where all are saturated, or by `linearity`.
     """
@@ -182,7 +182,7 @@ def even_surface(pictures: Iterable[tuple[float, Grey]]) -> dict[str, float]:
         exposures.append(time)
         total = total + np.asarray(grey, dtype=np.float64) / means[-1]
     if not means:
-        raise InputMalformedError("the even surface is saturated in all pictures", remedy="expose it anew")
+        raise InputMalformedError("the even surface is saturated in all pictures", remedy="expose it again")
     figures = {"corner_brightness": vignetting(np.asarray(total))[0]}
     known = np.isfinite(exposures)
     if len(np.unique(np.array(exposures)[known])) > 1:
@@ -192,7 +192,7 @@ def even_surface(pictures: Iterable[tuple[float, Grey]]) -> dict[str, float]:
 
 
 def vignetting(flat: Floats) -> tuple[float, Floats]:
-    """Fit the fall of light in a picture of an even surface: 1 + a r^2 + b r^4 + c r^6, r 1 in the corners.
+    """Fit the vignetting in a picture of an even surface: 1 + a r^2 + b r^4 + c r^6, r 1 in the corners.
 
     returns: brightness of the corners as a share of the middle's, and a, b, c.
     """

@@ -1,4 +1,4 @@
-"""The cameras of a project released, as far as the block bears it, once gross errors are out.
+"""The cameras of a project released, as far as the block determines them, once gross errors are out.
 
 Which of Brown's two lenses a camera has, with which terms, where its pictures alone tell.
 """
@@ -235,7 +235,7 @@ def with_released_cameras(
 def release(
     held: AdjustedTies, block: Block, holding: Sequence[Sequence[str]]
 ) -> tuple[AdjustedTies, Block, list[Finding]]:
-    """Adjust once more with all parameters that the project estimates and the block bears.
+    """Adjust once more with all parameters that the project estimates and the block determines.
 
     Only now the residuals are those of the measurements: a principal point that is held wrongly would go
     into the sigmas. The exterior orientation of it is not used, for c may drift with the heights. What runs

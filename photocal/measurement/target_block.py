@@ -145,7 +145,7 @@ def measure_field(
         raise InputNotFoundError(
             f"{len(used)} of {len(paths)} pictures show {targets} targets of {dictionary_name} twice or "
             f"more; {FEWEST_PICTURES} pictures and {FEWEST_TARGETS} targets are needed",
-            "look at the dictionary and at the size of the targets in the pictures",
+            "check the dictionary and the size of the targets in the pictures",
             where=paths[0].parent,
         )
     # 17.1 is the target's own first corner, then clockwise as it is printed.

@@ -166,9 +166,9 @@ def sheets_pdf(sheets: Sequence[Sheet], paper: str) -> bytes:
     try:
         made = compiler.compile((head + source).encode(), format="pdf", timestamp=_DATE)
     except typst.TypstError as refusal:
-        raise OutputError(f"the PDF could not be set ({refusal})", "report this") from None
+        raise OutputError(f"the PDF could not be typeset ({refusal})", "report this") from None
     if not isinstance(made, bytes):
-        raise OutputError("the PDF could not be set (no single file)", "report this")
+        raise OutputError("the PDF could not be typeset (no single file)", "report this")
     return made
 
 

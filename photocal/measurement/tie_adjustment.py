@@ -124,7 +124,7 @@ class _Ties:
 
 
 def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> AdjustedTies:
-    """Adjust a block with tie points; rays that do not fit and images without hold are taken out."""
+    """Adjust a block with tie points; rays that do not fit and undetermined images are left out."""
     total, given = len(tracks.track), start.cameras
     ties, block = _Ties(start, poses, tracks, np.ones(total)).held()
     as_oriented = replace(block, images=replace(block.images, values=ties.poses))
@@ -381,7 +381,7 @@ def camera_figures(adjusted: AdjustedTies, freed: Solution | None) -> list[dict[
 
 
 def with_released_c(adjusted: AdjustedTies, loosely: float = 1.0) -> Solution | None:
-    """Adjust with free principal distances; None where the block does not bear them.
+    """Adjust with free principal distances; None where the block does not determine them.
 
     loosely: factor of the sigmas of positions and angles.
     """

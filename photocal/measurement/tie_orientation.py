@@ -97,7 +97,7 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
         )
         findings.append(Finding("block-not-placed", "doubtful"))
     model = _moved(model, move)
-    unreached = "its tie points do not orient it to the other images"
+    unreached = "its tie points do not orient it relative to the other images"
     reasons = np.where(model.oriented, "", unreached).astype(object)
     for more in models[1:]:
         added = more.oriented & ~model.oriented
@@ -247,7 +247,7 @@ def _together(model: Model, more: Model, added: Flags) -> Model:
 
 
 def position_sigmas(images: Images, values: Floats, *, shifted: bool) -> tuple[Floats, Floats, list[Finding]]:
-    """How well positions are borne out by images that were oriented without or with them.
+    """Standard deviations of positions, as images oriented without or with them show.
 
     images: with positions and the sigmas that were stated.
     values (images, 6): exterior orientations in the same frame; NaN where unknown.

@@ -1,4 +1,4 @@
-"""Frame and epoch of a base beside those of the control: the size of what is between them, and the move."""
+"""Frame and epoch of a base beside those of the control: the shift between them, and its application."""
 
 import math
 from collections.abc import Iterator

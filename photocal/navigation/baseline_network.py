@@ -100,7 +100,9 @@ class NetworkSolution:
 def adjust_baselines(baselines: list[Baseline], control: list[GroundMark]) -> NetworkSolution:
     """Adjust a network of baselines and leave out those that an outlier test rejects, one at a time."""
     if not control:
-        raise IllPosedError("no known mark: the network can lie anywhere", "give one known position")
+        raise IllPosedError(
+            "no known mark: the position of the network is not determined", "give one known position"
+        )
     used, blunders = list(baselines), []
     while True:
         solution, suspect = _adjust(used, control)

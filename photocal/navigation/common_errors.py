@@ -21,7 +21,7 @@ from photocal.project import AirAtBase
 
 @dataclass(frozen=True)
 class CommonErrors:
-    """What the covariances of single positions do not tell: parts that no average over the flight removes.
+    """What the covariances of single positions do not contain: parts that no average over the flight removes.
 
     base_sigma_m (3,): standard deviations of the base's coordinates, east, north, up; None: nobody stated
         them.

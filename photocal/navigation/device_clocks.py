@@ -122,7 +122,7 @@ def _slope(x: Floats, y: Floats) -> float:
     rise = y[half:] - y[: len(y) - half]
     good = run > 0
     if not good.any():
-        raise IllPosedError("the clock stands still", "check the recording of SYSTEM_TIME")
+        raise IllPosedError("the clock does not advance", "check the recording of SYSTEM_TIME")
     return float(np.median(rise[good] / run[good]))
 
 
@@ -282,7 +282,7 @@ def autopilot_clock(boot_ns: Integers, utc_ns: Integers, host_ns: Integers) -> A
 
 
 def device_by_arrival(name: str, device_ns: Integers, host_ns: Integers) -> ComparedClocks | None:
-    """Fit a device's clock to that of the recording computer by arrivals, which are late by the way.
+    """Fit a device's clock to that of the recording computer by arrivals, which transmission delays.
 
     This way round an uneven playback keeps its stretches: the host's clock is the even one.
     """
@@ -306,7 +306,7 @@ def clock_sentences(clocks: list[ComparedClocks]) -> list[str]:
             stretches = [stretch for model in clock.cycles for stretch in model.segments]
             speed = max(stretches, key=lambda stretch: stretch.readings).rate
             sentences.append(
-                f"{clock.name}: not real time, mostly {speed:.2f} times the speed: "
+                f"{clock.name}: not in real time, mostly at {speed:.2f} times the speed: "
                 "times of arrival are not used"
             )
     return sentences

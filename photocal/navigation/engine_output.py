@@ -1,4 +1,4 @@
-"""What the engine writes: positions, and of each satellite where it stood and what its phase left over."""
+"""What the engine writes: positions, and direction and phase residual of each satellite."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -85,7 +85,7 @@ def read_solution(path: Path) -> EngineSolution:
                 velocity[number] = [float(v) for v in row[columns : columns + 3]]
     except (ValueError, OverflowError) as cause:
         raise InputMalformedError(
-            f"is no position file with times as week and seconds ({cause})",
+            f"is not a position file with times as week and seconds ({cause})",
             "take one with GPS weeks and seconds (out-timeform = tow)",
             where=path,
         ) from cause
@@ -251,7 +251,7 @@ def _centred(satellites: SatelliteResiduals, at: Integers, epochs: int) -> Float
 
 
 def static_position(forward: EngineSolution, combined: EngineSolution) -> EngineSolution:
-    """Return the last epoch of a static run, which contains all before it, with an honest covariance.
+    """Return the last epoch of a static run, which contains all before it, with a realistic covariance.
 
     The engine's sigmas of a long static run fall below a millimetre while its position still wanders with
     multipath: the root mean square of the way that the estimates of both directions lie from it is added.

@@ -1,4 +1,4 @@
-"""Moments at which a camera exposed, by whoever noted them."""
+"""Moments at which a camera exposed, from every source that recorded them."""
 
 import json
 from dataclasses import dataclass, field, replace
@@ -296,8 +296,8 @@ def _listed(name: str, lines: list[str], path: object) -> CameraEventList:
         values = parse_event(line)
         if values is None:
             raise InputMalformedError(
-                "is no event (number, time, week, offsets N E V, Lat, Lon, Ellh, sigmas, Q)",
-                "give the file as the vehicle wrote it",
+                "is not an event (number, time, week, offsets N E V, Lat, Lon, Ellh, sigmas, Q)",
+                "give the unchanged file of the vehicle",
                 where=f"{path}, line {number}",
             )
         rows.append(values)
@@ -315,7 +315,7 @@ def _listed(name: str, lines: list[str], path: object) -> CameraEventList:
     judged = judge_listed(listed)
     if not judged.placed.any():
         raise InputMalformedError(
-            f"has no position that can be meant: {finding_text(judged.findings[0], catalogue('en'), plain)}",
+            f"has no valid position: {finding_text(judged.findings[0], catalogue('en'), plain)}",
             "take the positions of the pictures, or compute them with the receiver's raw data",
             where=path,
         )

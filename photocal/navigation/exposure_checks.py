@@ -86,7 +86,7 @@ def _listed_events(e: Evidence) -> list[Finding]:
 def times_against_pictures(
     events: Events, cameras: list[CameraMatch], images: list[ImageMetadata]
 ) -> list[Finding]:
-    """Hold events against pictures that state the UTC of their exposure: no clocks are between them."""
+    """Compare events with pictures that state the UTC of their exposure: no clocks are between them."""
     # Events and the UTC that pictures state of the same exposures differ by less: delays of shutters.
     same_time_s = 0.5
     utc, findings = {image.name for image in images if image.utc}, list[Finding]()

@@ -69,7 +69,7 @@ def _timing(run: ExposureRun, minutes: Floats, timing: Any) -> None:
             timing.plot(minutes[m.event], m.residual_s * 1e3, ".", ms=4, label=camera.camera)
         timing.axhline(0.0, color="0.7", lw=0.8, zorder=0)
         timing.legend()
-        title, label = "Event less image, offset and drift removed", "residual / ms"
+        title, label = "Event minus image, offset and drift removed", "residual / ms"
     else:
         timing.plot(minutes[1:], np.diff(run.exposures.time.ns) / 1e9, ".", ms=4)
         timing.set_ylim(bottom=0.0)
@@ -205,7 +205,7 @@ def projected(lat: Floats, lon: Floats, height: Floats, crs: str) -> tuple[Float
         east_n, north_n, _ = way.transform(lon, lat + 1e-5, height, errcheck=True)
     except ProjError as refusal:
         raise ConfigurationError(
-            f"positions cannot be taken to {crs} ({refusal})",
+            f"positions cannot be transformed to {crs} ({refusal})",
             "name a system that covers the place, with its geoid grid installed",
             where=crs,
         ) from refusal
@@ -236,7 +236,7 @@ def write_geo_txt(path: Path, exposures: Exposures, rig: CameraOnBody) -> str:
     torn = next((name for row in rows for name in exposures.images[row] if name.split() != [name]), "")
     if torn:
         path.unlink(missing_ok=True)
-        return f"left out: names end at a blank there, and {torn!r} has one"
+        return f"left out: names in it end at a blank, and {torn!r} has one"
     write_geo(path, "EPSG:4326", {name: values[row] for row in rows for name in exposures.images[row]})
     return ""
 
@@ -283,7 +283,7 @@ def write_run(
     if len(with_images(run.exposures)):
         if crs is not None and run.exposures.height_kind != ELLIPSOIDAL:
             raise ConfigurationError(
-                f"heights are {run.exposures.height_kind}: they cannot be taken to {crs}",
+                f"heights are {run.exposures.height_kind}: they cannot be transformed to {crs}",
                 "leave out --crs",
                 where="--crs",
             )

@@ -158,7 +158,7 @@ def exposures_text(figures: dict[str, Any]) -> str:
     lines += figures["remarks"]
     for camera in figures["cameras"]:
         rest = f"{len(camera['unmatched_images'])} images, {len(camera['unmatched_events'])} events"
-        line = f"{camera['camera']}: {camera['matched']} matched, without a partner {rest}"
+        line = f"{camera['camera']}: {camera['matched']} matched, unmatched {rest}"
         if camera["matched"]:
             line += (
                 f"; its clock is {camera['clock_offset_s']:+.3f} s (sigma "

@@ -136,7 +136,7 @@ def at_camera(exposures: Exposures, rig: CameraOnBody) -> Exposures:
     if lacking.any():
         raise ConfigurationError(
             f"{int(lacking.sum())} exposures have no attitude to turn the lever arm with",
-            "record ATTITUDE, or give no lever arm",
+            "record ATTITUDE, or leave out the lever arm",
         )
     back = np.swapaxes(np.where(body.known[:, None, None], body.rotation, np.eye(3)), 1, 2)
     p = exposures.placed

@@ -1,4 +1,4 @@
-"""Fixed must mean fixed: doubtful fixes become float, and float sigmas become honest."""
+"""Validation of fixes: doubtful ones become float, and float sigmas are rescaled to what is observed."""
 
 from dataclasses import dataclass, replace
 

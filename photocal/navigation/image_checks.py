@@ -219,7 +219,7 @@ class TieMatching:
 def check_oriented(
     oriented: OrientedImages, exposures: Exposures, rig: CameraOnBody, source: str
 ) -> list[Finding]:
-    """Hold exposures against images that an adjustment oriented."""
+    """Compare exposures with images that an adjustment oriented."""
     findings = [judge_positions("adjusted-images", exposures, oriented.station, rig, "similarity")]
     pairs = compare_with_oriented(exposures, oriented, rig)
     if pairs:
@@ -231,7 +231,7 @@ def check_oriented(
 def check_images(
     exposures: Exposures, images: list[ImageMetadata], rig: CameraOnBody, how: TieMatching
 ) -> list[Finding]:
-    """Hold exposures against their images, oriented together by tie points.
+    """Compare exposures with their images, oriented together by tie points.
 
     Two images alone would not do: over flat ground a tilt and a shift look alike.
     """

@@ -50,7 +50,7 @@ def read_images(source: Path) -> list[ImageMetadata]:
     source: A folder of images, or a CSV table with columns image, taken (ISO 8601, the camera's clock) and
         optionally camera.
     raises InputNotFoundError: when the folder or table is missing or has no images.
-    raises InputMalformedError: when a file cannot be read as an image, or a row of the table tells no time.
+    raises InputMalformedError: when a file cannot be read as an image, or a row of the table has no time.
     """
     if source.is_file():
         return _table(source)
@@ -86,7 +86,7 @@ def clock_time_s(image: ImageMetadata) -> float:
     """Return the time of an image's own clock."""
     if image.time_s is None:
         raise ConfigurationError(
-            "tells no time",
+            "has no time",
             "take it out of the folder or write DateTimeOriginal into its EXIF",
             where=image.name,
         )
@@ -122,7 +122,7 @@ def _table(path: Path) -> list[ImageMetadata]:
         time = _parsed((row["taken"] or "").strip())
         if not row["image"] or time is None or not math.isfinite(time[0]):
             raise InputMalformedError(
-                f"{row['taken']!r} is no time",
+                f"{row['taken']!r} is not a time",
                 "write it as 2025-06-15T12:30:05.250",
                 where=f"{path}, line {number}",
             )

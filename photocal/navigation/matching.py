@@ -167,10 +167,10 @@ def _far_apart(x: Floats, y: Floats, resolution: float, largest: float, drift: f
     if 2 * hits > len(x):
         return IllPosedError(
             f"{cause}, but {hits} of {len(x)} images fit if their clock is {-offset:+.0f} s off",
-            f"if it was, say clock_offset_s = {abs(offset) + 1:.0f} under [flight], or correct their times",
+            f"if it was, write clock_offset_s = {abs(offset) + 1:.0f} under [flight], or correct their times",
         )
     return UnrelatedImagesError(
-        f"{cause}, and with no other offset of the clocks do they fit: images of another flight",
+        f"{cause}, and no other clock offset makes them fit: images of another flight",
         "take the images of this flight, or its log",
     )
 

@@ -53,7 +53,7 @@ class PpkOptions(Options):
         None
     )
     rover_antenna: Annotated[
-        str, Option("Type and radome of the rover's antenna in it; none: without a model.")
+        str, Option("Type and radome of the rover's antenna in that file; none: without a model.")
     ] = ""
     base_antenna: Annotated[str, Option("The base's; without: as the RINEX header names it.")] = ""
     crs: Annotated[
@@ -71,7 +71,7 @@ class ExposureOptions(Options):
     images: Annotated[Path | None, Option("Folder of the images, or a table image,taken[,camera].")] = None
     mrk: Annotated[Path | None, Option("The vehicle's own event list (Timestamp.MRK).")] = None
     edge: Annotated[str, Option("Edge of the time marks: rising or falling.")] = "rising"
-    delay: Annotated[float, Option("From the event to the exposure, seconds.")] = 0.0
+    delay: Annotated[float, Option("Delay from the event to the exposure, seconds.")] = 0.0
     delay_sigma: Annotated[
         float, Option("Standard deviation of the delay from exposure to exposure, seconds.")
     ] = 0.0
@@ -106,6 +106,6 @@ class ExposureOptions(Options):
     ] = False
 
     def __post_init__(self) -> None:
-        """Refuse what is no edge of a pulse."""
+        """Refuse what is not an edge of a pulse."""
         if self.edge not in ("rising", "falling"):
-            raise ConfigurationError(f"{self.edge!r} is no edge", "rising or falling", where="--edge")
+            raise ConfigurationError(f"{self.edge!r} is not an edge", "rising or falling", where="--edge")

@@ -250,7 +250,7 @@ def _detectable(model: _Model, sigma: Floats, place: int) -> float:
 
 
 def judge_positions(source: str, ours: Exposures, theirs: Floats, rig: CameraOnBody, free: str) -> Finding:
-    """Hold exposures against positions of another source."""
+    """Compare exposures with positions of another source."""
     code, beside = "positions", {"source": source, "free": free}
     p = ours.placed
     known = p.placed & np.isfinite(theirs).all(axis=1)

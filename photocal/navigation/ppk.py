@@ -184,7 +184,7 @@ def process(
     refuse_apart(inputs.rover, inputs.base)
     if not any(count_ephemerides(path) for path in inputs.navigation):
         raise IllPosedError(
-            "no ephemerides: no position can be computed",
+            "no ephemerides: positions cannot be computed",
             "record RXM-SFRBX or give a RINEX navigation file with --nav",
             where=", ".join(path.name for path in inputs.navigation) or inputs.rover.path.name,
         )
@@ -249,7 +249,7 @@ def parse_position(text: str) -> Floats:
     form = "LAT,LON,H: degrees and the ellipsoidal height in metres"
     lat, lon, height = numbers_of(text, "--base-position", form)
     if not (abs(lat) <= 90 and abs(lon) <= 360 and abs(height) < 20_000):
-        raise ConfigurationError(f"{text!r} is no position", f"give {form}", where="--base-position")
+        raise ConfigurationError(f"{text!r} is not a position", f"give {form}", where="--base-position")
     return np.asarray(geocentric(lat, lon, height))
 
 
@@ -265,7 +265,7 @@ def _base_off_code(inputs: Inputs, options: ProcessingOptions, engine: Rtklib, f
         raise IllPosedError(
             f"the base's position ({inputs.base_source}) is {off:.1f} m from its own code solution, more "
             f"than {base_limit_m:g} m",
-            "check coordinates, reference system and kind of height of the base",
+            "check coordinates, reference system and height kind of the base",
             where=inputs.base.path.name,
         )
     return np.asarray(apart)

@@ -179,7 +179,7 @@ def _base_position(sources: Sources, recording: ReceiverRecording | None) -> tup
     position = None if recording is None else recording.position_m()
     if position is None:
         raise ConfigurationError(
-            "the base's position is not known: neither RTCM 1005/1006 nor a survey-in tells it",
+            "the base's position is not known: neither RTCM 1005/1006 nor a survey-in states it",
             "give --base-position LAT,LON,H (ellipsoidal height)",
         )
     return position

@@ -208,14 +208,14 @@ def _validation_text(validation: dict[str, Any]) -> list[str]:
     lines = [f"fixed by the engine {validation['fixed_by_the_engine']}, of these made float:"]
     lines += [f"  {count} {reason}" for reason, count in demoted.items()] or ["  none"]
     if validation["combinations_replaced"]:
-        replaced = "replaced because the combination lay apart from both directions"
+        replaced = "replaced because the combination differed from both directions"
         lines.append(f"{replaced}: {validation['combinations_replaced']}")
     if validation["median_ratio_of_fixes"] is not None:
         lines.append(f"ratio of the fixes (median): {validation['median_ratio_of_fixes']:.1f}")
     for kind, rms in validation["forward_minus_backward_rms_enu_m"].items():
         if rms is not None:
             spread = " ".join(f"{v:.3f}" for v in rms)
-            lines.append(f"forward less backward, {kind}: {spread} m rms (E N U)")
+            lines.append(f"forward minus backward, {kind}: {spread} m rms (E N U)")
     places = validation["directions_apart"]
     for place in places[:listed_places]:
         other = {"forward": "backward", "backward": "forward"}.get(place["taken"], "the other")

@@ -49,7 +49,7 @@ def read_observation_file(path: Path) -> ObservationFile:
     lines = _lines(path)
     malformed = InputMalformedError.at(path)
     if not lines or "RINEX VERSION" not in lines[0] or lines[0][20:21] != "O":
-        raise malformed("is no RINEX observation file", "give the file with ending .obs")
+        raise malformed("is not a RINEX observation file", "name the observation file (.obs)")
     second = lines[0].lstrip().startswith("2")
     systems, bands, end = set(), set(), len(lines)
     letter, antenna, antenna_m = "", "", 0.0
@@ -79,7 +79,7 @@ def read_observation_file(path: Path) -> ObservationFile:
     try:
         time = GpsTime(np.array([_gps_ns(*match.groups()) for match in epochs], np.int64))
     except (ValueError, OverflowError) as failure:
-        raise malformed(f"has an epoch that no calendar has ({failure})", "was it damaged?") from failure
+        raise malformed(f"has an impossible date ({failure})", "was it damaged?") from failure
     return ObservationFile(path, time, frozenset(systems), frozenset(bands), antenna, antenna_m)
 
 
@@ -140,7 +140,7 @@ class PreciseResult:
     def description(self) -> str:
         """Frame and epoch for a person."""
         epoch = "" if np.isnan(self.epoch) else f", epoch {self.epoch:.4f}"
-        return f" ({self.frame or 'frame not told'}{epoch})"
+        return f" ({self.frame or 'frame not stated'}{epoch})"
 
 
 def read_precise_result(path: Path, site: str = "", name: str = "") -> PreciseResult:
@@ -162,7 +162,7 @@ def read_precise_result(path: Path, site: str = "", name: str = "") -> PreciseRe
     except (ValueError, IndexError, KeyError) as refusal:
         raise InputMalformedError("is damaged", "fetch it again", where=path) from refusal
     raise InputMalformedError(
-        "is no result that is known here",
+        "is not a known kind of result",
         "give the summary (.sum) of CSRS-PPP, the program of IBGE-PPP, a SINEX file, or LAT,LON,H",
         where=path,
     )
@@ -228,7 +228,7 @@ def read_antennas(path: Path) -> tuple[str, ...]:
     with reading(path, "name an ANTEX file, such as igs20.atx of the IGS"):
         lines = path.read_text(encoding="latin-1").splitlines()
     if not any(line[60:].startswith("ANTEX VERSION") for line in lines[:5]):
-        raise InputMalformedError("is no ANTEX file", "name one, such as igs20.atx", where=path)
+        raise InputMalformedError("is not an ANTEX file", "name one, such as igs20.atx", where=path)
     names = []
     starts = [k for k, line in enumerate(lines) if line[60:].startswith("START OF ANTENNA")]
     for start, end in zip(starts, [*starts[1:], len(lines)], strict=True):

@@ -119,7 +119,7 @@ def form_of(data: bytes, path: Path) -> ReceiverForm:
         if form.frames is None and path.suffix.lower() in form.endings:
             return form
     raise InputMalformedError(
-        "is neither RINEX nor raw observations that are known here",
+        "is neither RINEX nor a known raw format",
         f"give RINEX, or one of {', '.join(form.name for form in FORMS)}; the receiver's own program makes "
         "RINEX of others",
         where=path,

@@ -188,7 +188,7 @@ def refuse_unusable(recording: ReceiverRecording, role: str, log: FlightLog) -> 
     if recording.untimed_epochs:
         raise ill_posed(
             f"all {recording.untimed_epochs} RXM-RAWX epochs of the {role} have GPS week 0: the receiver "
-            "never knew the time",
+            "never had the time",
             "record until the receiver has a fix",
         )
     if recording.empty_epochs:

@@ -188,13 +188,13 @@ def _converted(
     observations, navigation = engine.convert(intact(data, form), form.converter, stem, near)
     if not observations.exists():
         raise InputMalformedError(
-            f"is {form.name}, of which the converter makes no observations",
-            "check that raw observations were recorded; the receiver's own program makes RINEX",
+            f"is {form.name}, from which the converter gets no observations",
+            "check that raw observations were recorded; or convert it with the receiver's own program",
             where=path,
         )
     remark = f"{path.name} is {form.name}, read by RTKLIB's convbin"
     untried = (
-        "" if form.tried else ": untried here, no recording was to be had; compare with the maker's RINEX"
+        "" if form.tried else ": not tested here, no recording was available; compare with the maker's RINEX"
     )
     ready = observations_ready(observations, engine, stem.with_name(f"{stem.name}-known"), today)
     ephemerides = (navigation,) if navigation.exists() else ()

@@ -81,7 +81,7 @@ def calibrate(
     strangers = sorted(set(left_out) - set(names))
     if strangers:
         raise ConfigurationError(
-            f"{', '.join(strangers)} cannot be left out: no common point is called so",
+            f"{', '.join(strangers)} cannot be left out: no common point has this name",
             f"common are {', '.join(names) or 'none'}",
             where="--without",
         )
@@ -95,7 +95,7 @@ def calibrate(
         value = held[scale] if scale in held else float(scale)
     except ValueError as refusal:
         raise ConfigurationError(
-            f"{scale!r} is no scale", 'give "free", "ground" or a number such as 1.0', where="--scale"
+            f"{scale!r} is not a scale", 'give "free", "ground" or a number such as 1.0', where="--scale"
         ) from refusal
     fit = localise(common, value, tilt=tilt)
     return SiteCalibration(crs, local, mapped, common, left_out, fit, factors)
@@ -298,7 +298,7 @@ def _remarks(made: SiteCalibration) -> Iterable[str]:
     for part, name in ((fit.plan, "plan"), (fit.height, "height")):
         if part.redundancy < 1:
             found = True
-            yield f"Nothing checks the {name}: measure more common points."
+            yield f"No redundant point checks the {name}: measure more common points."
         for k in np.flatnonzero(part.doubtful).tolist():
             found = True
             size = float(np.linalg.norm(part.miss_m[k]))
@@ -309,7 +309,7 @@ def _remarks(made: SiteCalibration) -> Iterable[str]:
             )
     if made.common.sigma_m is None:
         found = True
-        yield "No sigmas are stated in both tables: the residuals alone say how sure this is."
+        yield "Neither table states sigmas: the precision comes from the residuals alone."
     if made.left_out:
         found = True
         yield f"Left out: {', '.join(made.left_out)}."

@@ -193,7 +193,9 @@ def exposures(
     asked, logs = options or ExposureOptions(), _paths(flight)
     project = [path for path in logs if path.suffix == ".toml"]
     if project and len(logs) > 1:
-        raise ConfigurationError("a project file stands for itself", "give it alone", where=project[0])
+        raise ConfigurationError(
+            "a project file cannot be combined with logs", "give it alone", where=project[0]
+        )
     camera, crs = asked.camera, asked.crs
     if project:
         named = read_project(project[0])

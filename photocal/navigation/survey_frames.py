@@ -15,7 +15,7 @@ from photocal.navigation.time import GpsTime
 
 @dataclass(frozen=True)
 class MovedMark:
-    """Where the coordinates of a mark count, and where they were taken to.
+    """Frame and epoch of a mark's coordinates, and those to which they were transformed.
 
     moved: None where they stay: nobody tells a frame, or nothing known leads to that of the survey.
     """
@@ -43,7 +43,7 @@ def frame_told(mark: str, text: str, epoch: float = math.nan) -> Realization | N
         told = known_realization(told.frame, epoch) or told
     if told is not None and told.moves and np.isnan(told.epoch):
         raise InputMalformedError(
-            f"mark {mark}: the ground moves in {told.frame}, so that coordinates in it need an epoch",
+            f"mark {mark}: coordinates in {told.frame} change with time and need an epoch",
             f'write frame = "{told.frame}@2026.9" with the epoch in years',
         )
     return told
@@ -62,7 +62,7 @@ def frame_of_orbits(products: tuple[Path, ...]) -> Realization | None:
 def in_system(
     mark: GroundMark, source: Realization | None, crs: str | None, time: GpsTime | None = None
 ) -> tuple[GroundMark, MovedMark | None]:
-    """Take a mark from its frame to that of a system, with the uncertainty of the way.
+    """Transform a mark to the frame of a system, with the uncertainty of the transformation.
 
     time: of the observations, at whose epoch a precise position counts.
     returns: the mark, and what was done; None where nothing is to be done.

@@ -182,4 +182,4 @@ def _reliability_text(figures: dict[str, Any]) -> list[str]:
         return []
     size, mark, baseline, component = max(moves)
     where = f"{component} of {baseline}"
-    return [f"the worst error that the tests may miss, in {where}, moves {mark} by {1e3 * size:.0f} mm"]
+    return [f"the largest error that the tests may miss, in {where}, moves {mark} by {1e3 * size:.0f} mm"]

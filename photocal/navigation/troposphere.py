@@ -1,4 +1,4 @@
-"""What the engine's troposphere leaves over a difference in height: the moist, the warm and the thin air."""
+"""Tropospheric delay that the engine's model leaves between two heights: humidity, temperature, pressure."""
 
 from dataclasses import dataclass
 
@@ -48,7 +48,7 @@ def parse_weather(text: str, option: str) -> AirAtBase:
         return AirAtBase.model_validate(dict(zip(names, values, strict=True)))
     except ValueError as refusal:
         raise ConfigurationError(
-            f"{text!r} is no weather",
+            f"{text!r} is not a weather reading",
             "give TEMPERATURE,HUMIDITY[,PRESSURE]: degrees Celsius, percent, hPa at the place",
             where=option,
         ) from refusal

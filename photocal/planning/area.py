@@ -103,7 +103,7 @@ def area_from_corners(corners_deg: list[tuple[float, float]], where: str) -> Are
     # Beyond this the plane of one flight is no plane any more, and the polygon rather a mistake.
     largest_extent_m = 100_000.0
     if not np.isfinite(corners_m).all() or float(np.ptp(corners_m, axis=0).max()) > largest_extent_m:
-        raise wrong("is larger than 100 km", "look for a wrong corner; one flight covers some kilometres")
+        raise wrong("is larger than 100 km", "check for a wrong corner; one flight covers a few kilometres")
     if abs(polygon_area(corners_m)) < 1.0 or _crosses_itself(corners_m):
         raise wrong("is not a simple polygon (no area, or sides that cross)", "put the corners in order")
     return area

@@ -75,7 +75,7 @@ def plan_strips(
     if count * ((length + 2.0 * run_out_m) / base_m + 2.0) > most_exposures:
         raise ConfigurationError(
             f"the plan would need more than {most_exposures} exposures",
-            remedy="look at height, overlap and area",
+            remedy="check height, overlap and area",
         )
     lines = np.linspace(rotated[:, 1].min() - border_m, rotated[:, 1].max() + border_m, count)
     half = (lines[1] - lines[0]) / 2.0 + border_m
@@ -201,7 +201,7 @@ class PlannedFlight:
 def level_geometry(request: FlightRequest, height_m: float) -> LevelGeometry:
     """Compute the figures of one flying height."""
     if not (math.isfinite(height_m) and height_m > 0.0):
-        raise ConfigurationError(f"a flying height of {height_m:g} m above ground cannot be flown")
+        raise ConfigurationError(f"a flying height of {height_m:g} m above ground is not possible")
     frame = request.frame
     gsd = ground_sample_distance(height_m, frame)
     across: Side = "columns" if request.along == "rows" else "rows"
@@ -263,7 +263,8 @@ def suggest_layout(corners_m: Floats, control: int, check: int, margin_m: float)
     """
     if control < 3 or check < 0:
         raise ConfigurationError(
-            f"{control} control points do not orient a block", remedy="plan at least 3, better 5 or more"
+            f"{control} control points are too few to orient a block",
+            remedy="plan at least 3, better 5 or more",
         )
     candidates = _candidates(corners_m, margin_m)
     if len(candidates) < control + check:

@@ -101,7 +101,9 @@ def ground_through(images: OrientedImages, points: Floats) -> GroundCells:
 
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 3:
-        raise IllPosedError("fewer than three points tell no ground", remedy="give the height of the ground")
+        raise IllPosedError(
+            "fewer than three points do not define the ground", remedy="give the height of the ground"
+        )
     ground = level_ground(images, float(np.median(points[:, 2])))
     plane = ground.places[:, :2]
     inner = LinearNDInterpolator(points[:, :2], points[:, 2])(plane)

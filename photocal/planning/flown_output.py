@@ -52,7 +52,7 @@ def flown_text(figures: Mapping[str, Any]) -> str:
         axes = ", ".join(
             f"{m:+.3f} +- {s:.3f}" for m, s in zip(positions["mean_m"], positions["std_m"], strict=True)
         )
-        lines.append(f"camera positions, observed less adjusted, X, Y, Z: {axes} m (positions.csv, .svg)")
+        lines.append(f"camera positions, observed minus adjusted, X, Y, Z: {axes} m (positions.csv, .svg)")
     holes = (f"{g['east_m']:.1f}, {g['north_m']:.1f}: {g['area_m2']:.0f} m2" for g in listed[:10])
     return text([replace(section, pieces=(*section.pieces, Paragraph("\n".join([*lines, *holes]))))])
 

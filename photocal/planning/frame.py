@@ -63,7 +63,7 @@ def air_base(overlap: float, ground_side_m: float) -> float:
     """Give the distance of neighbouring photos or strips (canon-elph study, equation 33)."""
     if not 0.0 <= overlap < 1.0:
         raise ConfigurationError(
-            f"an overlap of {overlap:g} cannot be flown", remedy="give a share below 1, such as 0.8"
+            f"an overlap of {overlap:g} cannot be flown", remedy="give a fraction below 1, such as 0.8"
         )
     return (1.0 - overlap) * ground_side_m
 
@@ -79,7 +79,7 @@ def image_point(column: float, row: float, frame: PlanningCamera) -> tuple[float
 def exposure_interval(base_m: float, ground_speed_m_s: float) -> float:
     """Give the time between exposures at a ground speed."""
     if not ground_speed_m_s > 0.0:
-        raise ConfigurationError(f"a ground speed of {ground_speed_m_s:g} m/s gives no exposure interval")
+        raise ConfigurationError(f"a ground speed of {ground_speed_m_s:g} m/s allows no exposure interval")
     return base_m / ground_speed_m_s
 
 

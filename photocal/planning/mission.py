@@ -57,7 +57,7 @@ def mission_items(flight: PlannedFlight, home: Home, ground_height_m: float) -> 
     if not (math.isfinite(lowest) and lowest > 0.0):
         raise ConfigurationError(
             f"the flight would be {lowest:g} m above the take-off place",
-            remedy="look at the heights of ground and take-off place above mean sea level",
+            remedy="check the heights of ground and take-off place above mean sea level",
         )
     first = flight.strips[0].height_m + raise_m
     over_ground = float(mavlink.SPEED_TYPE_GROUNDSPEED)

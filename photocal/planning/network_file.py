@@ -163,7 +163,7 @@ def read_network(path: Path) -> Block:
         worst = int(np.argmin(count))
         raise ConfigurationError(
             f"photo {names[worst]} sees {count[worst]} targets that another photo sees, too",
-            "bring it nearer to the others, farther from the object, or turn it",
+            "move it nearer to the others or farther from the object, or turn it",
             where=path,
         )
     return Block(
@@ -238,7 +238,7 @@ def _targets(keys: ObjectKeys, path: Path) -> Targets:
     if any(map(table.has, _NORMAL)):
         if not all(map(table.has, _NORMAL)):
             raise InputMalformedError(
-                "has half a normal", "give nX, nY and nZ", where=path.parent / keys.points
+                "has an incomplete normal", "give nX, nY and nZ", where=path.parent / keys.points
             )
         normal = table.matrix(_NORMAL)
         length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -272,7 +272,9 @@ def _looking(place: Floats, target: Floats, roll: float) -> Floats:
     """Turn from object to camera axes of a photo that looks at a target, its x axis level without roll."""
     back = place - target
     if not back.any():
-        raise ConfigurationError(f"the station {place.tolist()} looks at itself", "move station or target")
+        raise ConfigurationError(
+            f"the station {place.tolist()} is the same as its target", "move station or target"
+        )
     back = back / np.linalg.norm(back)
     right = np.cross([0.0, 0.0, 1.0], back)
     # Straight down the top of the photo is north.
@@ -380,7 +382,7 @@ class NetworkPlan:
             f"sigma = K M s: K {made['design_factor']:.2f} at the mean photo scale "
             f"1:{made['scale_number']:.0f}\n"
             f"stations: {1e3 * max(station['place_m']):.2f} mm, {max(station['angles_deg']):.4f} deg "
-            "(the axis that is known least)"
+            "(the weakest axis)"
         )
         pixels = ((one, one["sigma_px"]) for one in made["camera"])
         cells = [
@@ -389,7 +391,7 @@ class NetworkPlan:
         pieces: list[Any] = [Paragraph(story)]
         if cells:
             pieces.append(
-                table("camera as it will be known", ("parameter", "sigma (powers of mm)", "px"), cells)
+                table("expected precision of the camera", ("parameter", "sigma (powers of mm)", "px"), cells)
             )
         if high := [(f"{a}, {b}", f"{r:+.3f}") for a, b, r in self.correlations()]:
             pieces.append(
@@ -435,12 +437,36 @@ class NetworkPlan:
             figure.colorbar(drawn, ax=figure.axes, label="sigma of a target, mm", shrink=0.8)
 
 
-def plan_network(path: Path) -> NetworkPlan:
-    """Adjust a planned network that a TOML file describes.
+def plan_network(path: str | Path) -> NetworkPlan:
+    """Predict the precision of a close-range network before the photos are taken.
 
-    raises ConfigurationError: for a network that its observations do not determine, and as of `read_network`.
+    Parameters
+    ----------
+    path
+        TOML file: camera, object, stations, datum, distances (configs/networks has examples).
+
+    Returns
+    -------
+    NetworkPlan
+        The planned block and its adjustment, from which sigmas and correlations follow.
+
+    Raises
+    ------
+    ConfigurationError
+        For a network that cannot be built.
+    IllPosedError
+        For one that its observations do not determine.
+    InputNotFoundError, InputMalformedError
+        For a file or a table of points that cannot be read.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> planned = photocal.plan_network("test-field.toml")
+    >>> planned.figures()["photos"]
+    20
     """
-    block = read_network(path)
+    block = read_network(Path(path))
     return NetworkPlan(block, adjust_network(block))
 
 

@@ -80,7 +80,7 @@ class FlightOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class LimitOptions(Options):
-    """What a planned flight is held against: wind, radio, the class of its product, the camera's times."""
+    """What a planned flight is compared with: wind, radio, the class of its product, the camera's times."""
 
     wind: Annotated[
         str | None,
@@ -117,7 +117,7 @@ class MissionOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class PrecisionOptions(Options):
-    """Ground points to suggest, and the observations of which the planned flight is adjusted."""
+    """Ground points to suggest, and the observations with which the planned flight is adjusted."""
 
     control: Annotated[int, Option("Number of control points to suggest.")] = 8
     check: Annotated[int, Option("Number of check points to suggest.")] = 30

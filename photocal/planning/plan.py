@@ -103,7 +103,7 @@ def remarks(
     exposure_time_s: float | None,
     shortest_interval_s: float | None,
 ) -> tuple[Finding, ...]:
-    """Say what stands against a plan.
+    """State the objections to a plan.
 
     shortest_interval_s: shortest time between two photos that the camera manages, s.
     """
@@ -356,7 +356,7 @@ def _home(text: str) -> Home:
     form = "LAT,LON,HEIGHT: degrees, metres above mean sea level"
     latitude, longitude, height = numbers_of(text, "--home", form)
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
-        raise ConfigurationError(f"{text!r} is no place on earth", "latitude comes first")
+        raise ConfigurationError(f"{text!r} is not a place on the earth", "latitude comes first")
     return Home(latitude, longitude, height)
 
 

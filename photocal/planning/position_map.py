@@ -1,4 +1,4 @@
-"""Observed less adjusted camera positions, exposure by exposure: a table, a map for QGIS and a picture."""
+"""Observed minus adjusted camera positions, exposure by exposure: a table, a map for QGIS and a picture."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ _LAYER = Layer(
 
 @dataclass(frozen=True)
 class PositionDifferences:
-    """Observed less adjusted projection centres.
+    """Observed minus adjusted projection centres.
 
     names (n), station, d_m (n, 3): in the local frame, m.
     """
@@ -101,8 +101,8 @@ def _draw(made: PositionDifferences, path: Path) -> None:
         high = max(float(np.abs(made.d_m[:, 2]).max()), 1e-9)
         drawn = axes.scatter(x, y, c=made.d_m[:, 2], cmap="RdBu_r", vmin=-high, vmax=high, s=18)
         axes.quiver(x, y, *(made.d_m[:, :2] * times).T, angles="xy", scale_units="xy", scale=1.0, width=0.003)
-        figure.colorbar(drawn, ax=axes, label="height, observed less adjusted, m")
-        axes.set_title(f"camera positions, observed less adjusted: plane {times:.0f} times", loc="left")
+        figure.colorbar(drawn, ax=axes, label="height, observed minus adjusted, m")
+        axes.set_title(f"camera positions, observed minus adjusted: plane {times:.0f} times", loc="left")
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_xlabel("m")
         axes.set_ylabel("m")

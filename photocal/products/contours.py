@@ -80,13 +80,41 @@ class Contours:
         return text
 
 
-def contours(dtm: Path, output: Path, options: ContourOptions) -> Contours:
+def contours(dtm: str | Path, output: str | Path, options: ContourOptions) -> Contours:
     """Write the contours of a terrain model.
 
-    dtm: raster that GDAL reads, or CSV of points (X, Y, Z, optional line), m.
-    output: .dxf, .shp or .gpkg.
-    raises ConfigurationError, InputNotFoundError, InputMalformedError, OutputError.
+    Parameters
+    ----------
+    dtm
+        Raster that GDAL reads, or a CSV of points (X, Y, Z, optional line), m.
+    output
+        File to write: .dxf, .shp or .gpkg.
+    options
+        Interval and heights; cells of a CSV.
+
+    Returns
+    -------
+    Contours
+        The lines, and their figures.
+
+    Raises
+    ------
+    ConfigurationError
+        For another ending, missing settings, or an interval that no contour fits.
+    InputNotFoundError, InputMalformedError
+        For a terrain model that cannot be read.
+    OutputError
+        When the file cannot be written.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> options = photocal.ContourOptions(interval=0.5, heights="local")
+    >>> made = photocal.contours("orthophoto/dtm.tif", "contours.gpkg", options)
+    >>> made.figures()["interval_m"]
+    0.5
     """
+    dtm, output = Path(dtm), Path(output)
     if output.suffix.lower() not in DRIVERS:
         raise ConfigurationError(f"{output} has no known ending", f"use {', '.join(DRIVERS)}")
     terrain = _terrain(dtm, options)

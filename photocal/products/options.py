@@ -67,12 +67,10 @@ class ContourOptions(Options):
     """Interval, heights and cells of contours."""
 
     interval: Annotated[float, Option("Height between contours, m.")]
-    index: Annotated[int, Option("Every so many contours one is an index contour.")] = 5
-    heights: Annotated[str | None, Option("Kind of heights of a terrain model that does not say it.")] = None
+    index: Annotated[int, Option("Number of contour intervals between index contours.")] = 5
+    heights: Annotated[str | None, Option("Height kind of a terrain model that does not state it.")] = None
     crs: Annotated[str | None, Option("Reference system of a terrain model that names none.")] = None
-    cell: Annotated[float | None, Option("Size of the cells that a CSV of terrain points is put on, m.")] = (
-        None
-    )
+    cell: Annotated[float | None, Option("Cell size for gridding a CSV of terrain points, m.")] = None
 
     def __post_init__(self) -> None:
         """Refuse an interval that gives no contours."""
@@ -117,6 +115,6 @@ class VolumeOptions(Options):
         pairs = ((self.radius, self.radius_sigma), (self.height, self.height_sigma))
         if any((length is None) != (sigma is None) for length, sigma in pairs):
             raise ConfigurationError(
-                "a length stands without its standard deviation, or the other way round",
+                "a length or a standard deviation is given without the other",
                 "give --radius with --radius-sigma and --height with --height-sigma",
             )

@@ -96,7 +96,7 @@ def oriented(folder: Path, run: Path | None) -> tuple[Block, LocalFrame, Oriente
         if (camera.deviation_sigma > 0).any():
             raise ConfigurationError(
                 f"camera {camera.id} has parameters that vary from image to image",
-                "adjust with a lens that does not vary; products take one lens for all images",
+                "adjust with a lens that does not vary; products need one lens for all images",
                 where=folder,
             )
     images = OrientedImages(block.images.names, block.cameras, block.images.camera, block.images.values)

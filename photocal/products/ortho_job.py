@@ -30,7 +30,7 @@ def image_files(block: Block, folder: Path, wanted: tuple[str, ...]) -> dict[int
     if unknown:
         raise ConfigurationError(f"image {unknown[0]} is not in the block", "correct its name")
     if not folder.is_dir():
-        raise InputNotFoundError("is no folder", "name the folder of the images", where=folder)
+        raise InputNotFoundError("is not a folder", "name the folder of the images", where=folder)
     inside = {file.name: file for file in sorted(folder.iterdir()) if file.is_file()}
     files: dict[int, RasterFile] = {}
     for number, name in enumerate(block.images.names):
@@ -73,7 +73,7 @@ def heights_of(raster: RasterFile, block: Block, stated: str | None) -> str:
     kind = raster.stated_heights(stated)
     if block.height in ("", UNSTATED) and block.frame != "local":
         raise ConfigurationError(
-            "the block does not say the kind of its heights",
+            "the block does not state its height kind",
             'say height = "ellipsoidal" or height = "orthometric"',
             where="block.toml",
         )

@@ -143,7 +143,7 @@ class Recipe:
         limits = np.iinfo(np.dtype(self.dtype))
         if self.nodata not in (limits.min, limits.max):
             raise ConfigurationError(
-                f"--nodata {self.nodata:g} does not suit pixels of {self.dtype}",
+                f"--nodata {self.nodata:g} does not fit pixels of {self.dtype}",
                 f"use {limits.min} or {limits.max}",
             )
 

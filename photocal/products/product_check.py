@@ -104,7 +104,7 @@ def _require_square(raster: RasterFile, diameter: float) -> None:
     a, b, _, d, e, _ = raster.transform
     wrong = ConfigurationError.at(raster.path)
     if b != 0 or d != 0 or abs(abs(a) - abs(e)) > 1e-6 * abs(a) or a <= 0 or e >= 0:
-        raise wrong("is not north up with square cells", "warp it")
+        raise wrong("is not north up with square cells", "resample it to a north-up grid")
     if diameter < 2 * a:
         raise wrong(f"a target of {diameter:g} m is smaller than two cells of {a:g} m")
 
@@ -115,7 +115,7 @@ def _heights(dtm: Path, points: GroundPoints, kind: str | None, stated: str | No
     wrong = ConfigurationError.at(dtm)
     if not kind:
         raise wrong(
-            "the kind of the heights of the check points is not said",
+            "the height kind of the check points is not stated",
             "name it: ellipsoidal, orthometric or local",
         )
     if model != kind:

@@ -54,7 +54,7 @@ class RasterFile:
         if kind := stated or self.height_kind:
             return kind
         raise wrong(
-            "the kind of the heights of the terrain model is not said",
+            "the height kind of the terrain model is not stated",
             "name it: ellipsoidal, orthometric or local",
         )
 
@@ -90,9 +90,9 @@ def opened(path: Path) -> Iterator[Any]:
             with rasterio.open(path) as source:
                 yield source
     except rasterio.errors.RasterioError as failure:
-        reason = str(failure).splitlines()[0] if str(failure) else "no readable raster"
+        reason = str(failure).splitlines()[0] if str(failure) else "not a readable raster"
         raise InputMalformedError(
-            f"cannot be read as a raster ({reason})", "is the file whole?", where=path
+            f"cannot be read as a raster ({reason})", "is the file complete?", where=path
         ) from failure
 
 
@@ -174,7 +174,7 @@ def system_wkt(name: str) -> str:
         return str(CRS.from_user_input(name).to_wkt())
     except rasterio.errors.CRSError as failure:
         raise ConfigurationError(
-            f"{name!r} is no known reference system", "give an EPSG code such as EPSG:31982"
+            f"{name!r} is not a known reference system", "give an EPSG code such as EPSG:31982"
         ) from failure
 
 

@@ -334,7 +334,7 @@ def tank_text(tank: Tank, axes: tuple[str, str, str], wall_thickness: float) -> 
     if doubtful:
         lines.append(
             f"the variance factor of section {', '.join(doubtful)} lies outside its 95 % interval: the "
-            "ring is no circle within the stated sigmas (too large), or they are too large (too small)"
+            "ring is not a circle within the stated sigmas, or these are wrong"
         )
     inside = f" inside a wall of {1e3 * wall_thickness:g} mm" if wall_thickness else ""
     lines.append(f"mean radius {tank.radius:.5f} m{inside}, sd {tank.radius_sigma:.5f} m (a priori)")

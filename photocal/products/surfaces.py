@@ -80,7 +80,7 @@ def fit(
                 state, cofactor, residuals, influence, chi_squared, count - unknowns, iteration
             )
     raise NotConvergedError(
-        f"the fit of the {what} did not end within {iterations} iterations",
+        f"the fit of the {what} did not converge within {iterations} iterations",
         "are the points on such a surface, and their sigmas in metres?",
     )
 

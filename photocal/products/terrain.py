@@ -180,7 +180,7 @@ def grid_of_points(
         raise ConfigurationError(f"the cell is {cell:g} m", "give a positive length in metres")
     xyz, line = _unique(*_denser(points, 2 * cell))
     if len(xyz) < 3:
-        raise IllPosedError(f"{len(xyz)} points make no terrain", "give at least three")
+        raise IllPosedError(f"{len(xyz)} points do not define a terrain", "give at least three")
     low, high = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
     west, south = np.floor(low / cell) * cell
     columns, rows = (np.maximum(np.ceil((high - [west, south]) / cell - 1e-9), 1)).astype(np.int64)
@@ -195,7 +195,7 @@ def grid_of_points(
         network = Delaunay(xyz[:, :2] - origin)
     except QhullError as failure:
         raise IllPosedError(
-            "the points make no triangles (they lie on a line)", "spread them over the terrain"
+            "the points form no triangles (they lie on a line)", "spread them over the terrain"
         ) from failure
     interpolate = LinearNDInterpolator(network, xyz[:, 2])
     heights = np.full((int(rows), int(columns)), np.nan)

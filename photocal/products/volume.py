@@ -53,7 +53,7 @@ def outline(points: RingPoints, name: str, shape: Shape) -> dict[str, Any]:
     count, least = len(values), 3 if shape == "polygon" else 4
     if count < least:
         raise IllPosedError(
-            f"{count} points are no outline", f"measure {least} or more", where=f"section {name}"
+            f"{count} points do not make an outline", f"measure {least} or more", where=f"section {name}"
         )
     # About the middle, so that large coordinates keep their digits.
     plane = values[:, :2] - values[:, :2].mean(axis=0)
@@ -137,7 +137,9 @@ def filling_table(tank: Tank, step_m: float, wall_thickness: float = 0.0) -> tup
     whole = float(height[-1] - height[0])
     most_levels = 10_000
     if not whole / most_levels < step_m <= whole:
-        raise ConfigurationError(f"levels every {step_m:g} m make no table", f"the sections span {whole:g} m")
+        raise ConfigurationError(
+            f"levels every {step_m:g} m do not make a table", f"the sections span {whole:g} m"
+        )
     levels = np.append(np.arange(step_m, whole * (1 - 1e-9), step_m), whole)
     return tuple(Filled(0.0, float(at), *_filled(radius, height, covariance, float(at))) for at in levels)
 
@@ -263,7 +265,7 @@ def _told(part: Filled) -> str:
 
 def _points(sections: Path, options: VolumeOptions) -> tanks.RingPoints:
     if options.vertical not in ("X", "Y", "Z"):
-        raise ConfigurationError(f"--vertical {options.vertical} is no axis", "use X, Y or Z")
+        raise ConfigurationError(f"--vertical {options.vertical} is not an axis", "use X, Y or Z")
     return tanks.read_ring_points(sections, cast("Literal['X', 'Y', 'Z']", options.vertical), options.sigma)
 
 
@@ -272,7 +274,7 @@ def _closed(sections: Path, options: VolumeOptions) -> Volume:
     round_only = options.plot or options.height or options.wall_thickness or options.filling
     if options.shape not in ("curve", "polygon") or round_only:
         raise ConfigurationError(
-            f"--shape {options.shape} with --plot, --height, --filling or --wall-thickness makes no sense",
+            f"--shape {options.shape} with --plot, --height, --filling or --wall-thickness is not possible",
             "use circle, or curve or polygon without them",
         )
     closed, text = measure_closed(points, cast("Literal['curve', 'polygon']", options.shape))

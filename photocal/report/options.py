@@ -13,7 +13,10 @@ from photocal.base.options import Option, Options
 class CertificateOptions(Options):
     """Language, date and particulars of a certificate."""
 
-    language: Annotated[str, Option("Language: en or pt-BR.", ("--lang", "--language"))] = "en"
+    language: Annotated[
+        str,
+        Option("Language of the texts: en or pt-BR; default: that of LANG.", ("--lang", "--language")),
+    ] = ""
     date: Annotated[str | None, Option("Day of the certificate, YYYY-MM-DD; today if not given.")] = None
     block: Annotated[
         Path | None,

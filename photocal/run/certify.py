@@ -96,7 +96,7 @@ def certificate(
             run,
             output,
             given,
-            language=asked.language,
+            language=asked.language or "en",
             block=asked.block,
             warnings=stage_findings(run),
             done=lambda: step(1),

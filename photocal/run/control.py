@@ -1,4 +1,4 @@
-"""Stage `control`: control and its marks opened, counted and held against the pictures before any work."""
+"""Stage `control`: control and its marks opened, counted and compared with the pictures before any work."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -86,12 +86,12 @@ class FolderContents:
 
 
 def survey(folder: Path, leave_out: Collection[Path] = ()) -> FolderContents:
-    """Look at everything in a folder; raises InputNotFoundError when it is no folder.
+    """Look at everything in a folder; raises InputNotFoundError when it is not a folder.
 
     leave_out: files that are no source of anything.
     """
     if not folder.is_dir():
-        raise InputNotFoundError("is no folder", "name the folder of the flight", where=folder)
+        raise InputNotFoundError("is not a folder", "name the folder of the flight", where=folder)
     seen = FolderContents(folder)
     # Folders that are looked into, one in another.
     depth = 3

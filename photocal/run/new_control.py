@@ -321,7 +321,7 @@ def _with_heights(made: NewControl, placed: Sequence[ImageFacts], *, matters: bo
         if not matters and (lacks := missing_grids(made.crs, None)):
             made.known.append(
                 f"grid {', '.join(lacks)} of {made.crs} is missing and not needed: no position is "
-                f"held against the control points' heights ({own})"
+                f"compared with the control points' heights ({own})"
             )
             made.crs = _level(made.crs)
     elif made.height == "local":
@@ -332,7 +332,7 @@ def _with_heights(made: NewControl, placed: Sequence[ImageFacts], *, matters: bo
         made.height, made.height_is_assumed = "orthometric", True
         made.missing.append(
             "the kind of the control points' heights: taken as orthometric; no position of the folder is "
-            "held against them, so that no figure depends on it"
+            "compared with them, so that no figure depends on it"
         )
     elif not made.height:
         else_local = "" if made.crs else ', or "local" with such a crs'
@@ -360,7 +360,7 @@ def _level(crs: str) -> str:
 
 
 def _with_geoid(made: NewControl, placed: Sequence[ImageFacts]) -> None:
-    """Ask for the system of orthometric heights that precise positions are held against, or for its grid."""
+    """Ask for the system of orthometric heights that precise positions are compared with, or for its grid."""
     if not placed:
         return
     latitude, longitude = _middle(placed)

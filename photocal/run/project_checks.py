@@ -196,7 +196,7 @@ def _check_heights(project: Project, control: ObjectPoints) -> None:
     if project.crs == "local" or len(heights) < FEWEST or np.ptp(heights) > 0:
         return
     raise ConfigurationError(
-        f"the heights of all {len(heights)} control points are {heights[0]:g}, which no survey gives",
+        f"the heights of all {len(heights)} control points are {heights[0]:g}, which a survey hardly gives",
         "give their heights, or leave sZ empty: then they serve horizontally only",
         where=project.control.points,
     )

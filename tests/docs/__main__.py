@@ -10,6 +10,7 @@ from tests.docs import (
     evidence_page,
     fault_page,
     gallery_page,
+    monitor_picture,
     picture_page,
     study_pages,
 )
@@ -18,6 +19,7 @@ command_pages.main()
 architecture_figure.main()
 fault_page.main()
 desk_pictures.main()
+monitor_picture.main()
 picture_page.main()
 api_page.main()
 gallery_page.main()

@@ -31,6 +31,7 @@ def prepare(folder: Path, block: photocal.Block, result: photocal.Result) -> Non
     block.write(folder / "block")
     result.write(folder / "run")
     photocal.write_cameras(folder / "cameras.toml", [result.camera()])
+    shutil.copy(Path(__file__).parents[2] / "configs/networks/test-field.toml", folder)
     (folder / "field.kml").write_text(_KML, encoding="utf-8")
     (folder / "boards").mkdir()
     for k, view in enumerate(_boards(np.random.default_rng(3))):

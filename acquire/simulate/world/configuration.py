@@ -67,11 +67,13 @@ class Level(StrEnum):
 
     pictures: streams of the devices and rendered images. observations: streams, and image observations
     instead of images. block: a block folder whose positions and attitudes carry the noise they state.
+    card: what a drone that keeps its log to itself gives: rendered images, control points and their marks.
     """
 
     PICTURES = "pictures"
     OBSERVATIONS = "observations"
     BLOCK = "block"
+    CARD = "card"
 
 
 class PlaceKeys(Table):

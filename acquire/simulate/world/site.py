@@ -1,6 +1,7 @@
 """The two folders of a simulated flight: what a surveyor brings home, and the truth."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -136,6 +137,10 @@ def simulate_flight(configuration: FlightConfiguration, folder: Path, advance: A
     world = make_world(configuration)
     site, truth = folder / "site", folder / "truth"
     site.mkdir(parents=True)
+    if configuration.level is Level.CARD:
+        write_card(world, site, advance)
+        write_truth(world, truth, None, projected=True)
+        return summary(world)
     observed = None if configuration.level is Level.PICTURES else observe(world)
     if observed is not None and configuration.level is Level.BLOCK:
         block_folder.write_block(world, observed, site / "block")
@@ -152,6 +157,19 @@ def simulate_flight(configuration: FlightConfiguration, folder: Path, advance: A
     write_particulars(world, site / "particulars.toml")
     write_truth(world, truth, observed, projected=configuration.level is not Level.BLOCK)
     return summary(world)
+
+
+def write_card(world: World, site: Path, advance: Advance) -> None:
+    """Write pictures, surveyed points and the marks that a person made of them."""
+    from acquire.simulate.world.picture_file import write_pictures
+
+    write_pictures(world, site / "images", advance)
+    notes = block_folder.take_notes(world, world.place.to_projected(world.targets.surveyed_m))
+    block_folder.write_targets(world, notes, site / "control.csv", world.targets.names)
+    observed = observe(world)
+    marked = observed.point < len(world.targets.names)
+    rows = {name: getattr(observed, name)[marked] for name in ("image", "point", "pixels", "sigma_px")}
+    block_folder.write_observations(world, replace(observed, **rows), site / "marks.csv")
 
 
 def write_streams(world: World, streams: dict[str, RecordedWire], folder: Path) -> None:

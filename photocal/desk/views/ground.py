@@ -86,7 +86,7 @@ def ground_tile(ground: Ground, level: int, column: int, row: int) -> bytes:
     side = TILE_PX << max(level, 0)
     first, size = (column * side, row * side), ground.size
     if not 0 <= level <= ground.levels or min(column, row) < 0 or first[0] >= size[0] or first[1] >= size[1]:
-        raise InputNotFoundError("has no such tile", "look at another place", where=ground.path)
+        raise InputNotFoundError("has no such tile", "choose another place", where=ground.path)
     wide, high = (min(side, size[k] - first[k]) for k in (0, 1))
     shape = (-(-high >> level), -(-wide >> level))
     # The cache of GDAL is by default a share of the memory of the machine.

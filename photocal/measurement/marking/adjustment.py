@@ -1,4 +1,4 @@
-"""An adjustment of marks alone: it shows wrong marks while they can still be mended.
+"""An adjustment of marks alone: it shows wrong marks while they can still be corrected.
 
 Cameras are held, images keep what is known of their exterior orientation as observations. It is no
 substitute for the adjustment of the block, where tie points and free cameras take part.
@@ -125,7 +125,7 @@ def block_of_marks(
     ray &= held[seen.point]
     if not (ray & of_control).any():
         raise IllPosedError(
-            "no image has marks enough to be adjusted" + (f": {left_out[0]}" if left_out else ""),
+            "no image has enough marks for an adjustment" + (f": {left_out[0]}" if left_out else ""),
             "mark control points in more images",
         )
     return _only(whole, usable, held, ray), left_out

@@ -174,7 +174,7 @@ function describe(view, mark, residual) {
   const place = `${mark.x.toFixed(2)}, ${mark.y.toFixed(2)}`;
   if (!residual) return { text: `${place}  ${byHand ? sigma : `centre ${sigma}`}`, level: byHand ? "warn" : "good" };
   const size = Math.hypot(residual.vx, residual.vy).toFixed(2);
-  const tested = residual.in_sigmas === null ? "nothing checks it" : `${residual.in_sigmas.toFixed(1)} \u03c3`;
+  const tested = residual.in_sigmas === null ? "not checked" : `${residual.in_sigmas.toFixed(1)} \u03c3`;
   return { text: `residual ${size} px, ${tested}; ${place} ${sigma}`, level: residual.level };
 }
 
@@ -325,7 +325,7 @@ function adjust() {
     $("left-out").textContent = answer.left_out.join("; ");
     const found = answer.residuals.length;
     const suspects = [...state.residuals.values()].filter((r) => r.level !== "good").length;
-    say(suspects ? `${found} marks adjusted, ${suspects} suspect: mend the first of the list, then adjust again`
+    say(suspects ? `${found} marks adjusted, ${suspects} suspect: correct the first of the list, then adjust again`
       : `${found} marks adjusted, none suspect`);
     const here = state.ranked[state.at]?.name;
     const ranked = await ask(`/images?point=${encodeURIComponent(state.point)}`);

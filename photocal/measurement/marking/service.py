@@ -234,7 +234,7 @@ class MarkingService:
         scene, marks = self._scene, self._store.marks
         if scene.orientation is None:
             raise ConfigurationError(
-                "nothing is known of the camera", "open a project with [[camera]], or give --run"
+                "the camera is not known", "open a project with [[camera]], or give --run"
             )
         with ProcessPoolExecutor(1, get_context("spawn")) as pool:
             adjusted = pool.submit(adjust_marks, scene.orientation, scene.points, marks).result()
@@ -245,7 +245,7 @@ class MarkingService:
         picture = self._scene.pictures.get(name)
         missing = InputNotFoundError.at(name)
         if picture is None:
-            raise missing("is no image of this project", "choose one of the list")
+            raise missing("is not an image of this project", "choose one of the list")
         if picture.reason:
             raise missing(picture.reason, "choose another image")
         return picture

@@ -106,12 +106,12 @@ class Tiles:
         # No picture has more levels: a side of 2^24 pixels.
         most_levels = 16
         if not 0 <= address.level <= most_levels:
-            raise InputNotFoundError("has no such tile", "look at another place", where=picture)
+            raise InputNotFoundError("has no such tile", "choose another place", where=picture)
         with self._decoding:
             level = self._level(picture, key, address.level)
         left, top = address.column * TILE_PX, address.row * TILE_PX
         if address.column < 0 or address.row < 0 or left >= level.width or top >= level.height:
-            raise InputNotFoundError("has no such tile", "look at another place", where=picture)
+            raise InputNotFoundError("has no such tile", "choose another place", where=picture)
         part = level.crop((left, top, min(left + TILE_PX, level.width), min(top + TILE_PX, level.height)))
         written = BytesIO()
         # Of JPEG: nothing is lost that an eye sees.
@@ -143,7 +143,7 @@ def _decoded(picture: Path, level: int) -> "Image":
 
     with opened(picture) as image:
         if level > coarsest_level(image.size):
-            raise InputNotFoundError("has no such tile", "look at another place", where=picture)
+            raise InputNotFoundError("has no such tile", "choose another place", where=picture)
         if image.mode not in _MANY_BITS:
             done = _scaled(image, level)
             stored = as_stored(image)

@@ -60,7 +60,7 @@ def test_a_flood_on_one_link_costs_the_others_nothing(tmp_path: Path) -> None:
         opened.callback(flooding.kill)
         sent: list[tuple[float, bytes]] = []
         begin = time.monotonic()
-        told = "l0 more comes than the 4 MB/s that are taken"
+        told = "l0 more comes than the 4 MB/s that can be recorded"
         while time.monotonic() < begin + 1.5 or not any(told in line for line in recorder.told):
             assert time.monotonic() < begin + PATIENCE_S
             frame = numbered(len(sent))
@@ -188,7 +188,7 @@ def test_stopping_takes_two_seconds_whatever_the_ports_do(tmp_path: Path) -> Non
     for caster in casters:
         caster.end()
     full.end()
-    assert any("dead hangs and was left behind" in line for line in told)
+    assert any("dead does not stop and was abandoned" in line for line in told)
 
 
 def test_a_host_name_that_cannot_be_is_tried_again(tmp_path: Path) -> None:

@@ -241,7 +241,7 @@ def test_what_has_arrived_before_the_stop_is_taken() -> None:
         ('[recording]\noutput = "x"\n' + link("a", "can", "udp://127.0.0.1:1"), "link.1.protocol"),
         ('[recording]\noutput = "x"\n' + link("a b", "ubx", "udp://127.0.0.1:1"), "link.1.name"),
         ('[recording]\noutput = "x"\n' + 2 * link("a", "ubx", "udp://127.0.0.1:1"), "twice"),
-        ('[recording]\noutput = "x"\n' + link("a", "ubx", "bluetooth"), "no address"),
+        ('[recording]\noutput = "x"\n' + link("a", "ubx", "bluetooth"), "not an address"),
     ],
 )
 def test_configurations_that_cannot_be_meant(

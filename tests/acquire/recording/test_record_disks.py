@@ -124,7 +124,7 @@ def test_when_a_full_disk_has_room_again_nothing_is_lost(tmp_path: Path) -> None
     told += files.close()
     # The clock of this test runs faster than any disk.
     assert [text for kind, text in told if kind != "disk_slow"] == [
-        f"there is room again, recording goes on in {files.paths[1]}"
+        f"disk space is free again, recording continues in {files.paths[1]}"
     ]
     assert len(files.paths) == 2
     assert sorted(_kept(files.paths, tmp_path)) == sorted(sent)

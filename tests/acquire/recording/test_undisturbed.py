@@ -161,11 +161,11 @@ def test_a_device_that_takes_nothing_costs_the_other_links_nothing(
         stack.callback(sender.join)
         stack.callback(ended.set)
         sender.start()
-        recorder.line("rover does not take what it is sent")
+        recorder.line("rover does not accept the data sent to it")
         time.sleep(2.0)
         recorder.process.kill()
         assert good.lost(tmp_path, time.monotonic()) == 0
-    alarms = [line for line in recorder.told if "does not take what it is sent" in line]
+    alarms = [line for line in recorder.told if "does not accept the data sent to it" in line]
     assert len(alarms) == 1
 
 

@@ -98,7 +98,7 @@ def test_an_error_of_the_camera_is_found_beside_positions_that_are_worse_than_st
 
 
 def test_a_member_is_what_an_adjustment_without_it_says() -> None:
-    """Fall of v'Pv, and observed less adjusted without it; with a lever arm to estimate, and correlated."""
+    """Fall of v'Pv, and observed minus adjusted without it; with a lever arm to estimate, and correlated."""
     network = fly(SMALL, 3).network
     own, count = network.positions, len(network.positions.image)
     correlated = own.covariance + 1e-4 * np.array([[0, 0.6, 0.3], [0.6, 0, -0.5], [0.3, -0.5, 0]])

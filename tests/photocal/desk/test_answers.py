@@ -208,7 +208,7 @@ def test_the_command_tells_how_the_steps_stand(
     assert said.code == 0
     assert json.loads(said.out)["steps"]["folder"] == {"state": "none", "word": "stands.choose"}
     missing = photocal("desk", tmp_path / "nowhere")
-    assert (missing.code, "is no folder" in missing.err) == (3, True)
+    assert (missing.code, "is not a folder" in missing.err) == (3, True)
 
 
 def test_sizes_of_marks_are_shown_in_the_pictures_and_chosen(window: Client, home: Path, once: Once) -> None:

@@ -127,7 +127,7 @@ def test_marks_without_point_are_left_out(tmp_path: Path) -> None:
         ("images.txt", "1 1 0 0 0 0 0 5 3 a.jpg\n10 20 7\n", "unknown camera 3"),
         ("images.txt", "1 1 0 0 0 0 0 5 1 a.jpg", "ends before the marks"),
         ("images.txt", "1 1 0 0 0 0 0 5 1 a.jpg\n10 20\n", "not complete"),
-        ("points3D.txt", "7 0 0 0 1 2\n", "no row of a point"),
+        ("points3D.txt", "7 0 0 0 1 2\n", "not a row of a point"),
     ],
 )
 def test_bad_text(tmp_path: Path, name: str, text: str, message: str) -> None:

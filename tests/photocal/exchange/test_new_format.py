@@ -136,7 +136,7 @@ def test_its_folder_is_a_project_to_adopt(
     ("entry", "module", "message"),
     [
         ("toyformat:TOY", "import nothing_of_that_name", "cannot be used .ModuleNotFoundError"),
-        ("toyformat:TOY", "TOY = 7", "it is no Format"),
+        ("toyformat:TOY", "TOY = 7", "it is not a Format"),
         ("toyformat:NONE", "", "cannot be used .AttributeError"),
     ],
 )

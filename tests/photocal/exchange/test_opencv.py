@@ -62,13 +62,13 @@ COEFFICIENTS = (
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("x: 1\n", "no YAML file of OpenCV"),
+        ("x: 1\n", "not a YAML file of OpenCV"),
         (HEAD, "has no camera_matrix"),
         (HEAD + MATRIX.replace("500.", ".Nan", 1) + COEFFICIENTS.format(4, "0., 0., 0., 0."), "not a number"),
         (HEAD + MATRIX + COEFFICIENTS.format(14, "0.1, " + "0., " * 11 + "0.5, 0."), "beyond"),
-        (HEAD + MATRIX.replace("rows: 3", "rows: 100000000"), "no matrix"),
+        (HEAD + MATRIX.replace("rows: 3", "rows: 100000000"), "not a matrix"),
         # OpenCV's own reader writes beyond its memory here.
-        (HEAD + MATRIX.replace("cols", "colc") + COEFFICIENTS.format(4, "0., 0., 0., 0."), "no matrix"),
+        (HEAD + MATRIX.replace("cols", "colc") + COEFFICIENTS.format(4, "0., 0., 0., 0."), "not a matrix"),
         (
             HEAD.replace("640", "99999999999") + MATRIX + COEFFICIENTS.format(4, "0., 0., 0., 0."),
             "impossible",

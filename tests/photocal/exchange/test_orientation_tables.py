@@ -90,7 +90,7 @@ def test_bad_tables(tmp_path: Path) -> None:
         with pytest.raises(InputMalformedError, match=message):
             read_matrices(path)
     path.write_text("a 0 0 0 1 0 0 0 1 0 0 0 2\n")
-    with pytest.raises(InputMalformedError, match="no rotation"):
+    with pytest.raises(InputMalformedError, match="not a rotation"):
         read_matrices(path)
     path.write_text("$PHOTO\n $PHOTO_NUM : 1\n $EXT_ORI :\n 100 1 2 3\n 1 0 0\n")
     with pytest.raises(InputMalformedError, match="ends inside"):

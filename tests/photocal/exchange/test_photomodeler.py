@@ -60,7 +60,7 @@ def test_what_has_no_place(tmp_path: Path, vision: Reconstruction) -> None:
     for given, message in (
         (vision, "in mm"),
         (reconstruction_of((skewed,)), "skew"),
-        (replace(two_cameras(), image_names=("../a", "b", "c", "d", "e", "f")), "cannot be that of a file"),
+        (replace(two_cameras(), image_names=("../a", "b", "c", "d", "e", "f")), "cannot be a file name"),
     ):
         with pytest.raises(InputMalformedError, match=message):
             write_photomodeler(tmp_path / "e.txt", given)

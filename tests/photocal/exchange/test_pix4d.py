@@ -48,7 +48,7 @@ def test_pix4d_example() -> None:
 
 def test_pix4d_wants_the_right_image_size(tmp_path: Path, photogrammetric: Reconstruction) -> None:
     write_pix4d(tmp_path / "a.cam", photogrammetric.cameras[0])
-    with pytest.raises(InputMalformedError, match="has the shape of no picture"):
+    with pytest.raises(InputMalformedError, match="does not have the shape of a picture"):
         read_cam(tmp_path / "a.cam", [(4000, 4000)])
 
 

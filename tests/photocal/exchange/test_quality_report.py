@@ -184,7 +184,7 @@ def test_reports_lie_where_programs_put_them(tmp_path: Path) -> None:
 def test_a_damaged_document_is_refused_in_a_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "field_report.pdf"
     path.write_bytes(content)
-    with pytest.raises(InputMalformedError, match="is no readable PDF"):
+    with pytest.raises(InputMalformedError, match="is not a readable PDF"):
         read_quality_report(path)
     report, refusals = report_of(tmp_path, lambda _: True)
     assert report is None

@@ -83,7 +83,7 @@ def test_control_of_opensfm(shared: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("g.json", "{}", "is no ground_control_points"),
+        ("g.json", "{}", "is not a ground_control_points"),
         ("g.json", json.dumps({"points": [{"id": 1}]}), "no point with coordinates"),
         ("g.xml", "<document><chunk/><chunk/></document>", "has 2 chunks"),
         ("g.txt", "EPSG:31982\n1 2 3 4\n", "has 4 cells"),

@@ -62,4 +62,6 @@ def test_twins_and_heights() -> None:
     assert "P3" in one
     assert "in feet" in one
     level = PLACES * [1.0, 1.0, 0.0] + [0.0, 0.0, 30.0]
-    assert list(heights_apart(points(level))) == ["the heights of all 6 points are 30, which no survey gives"]
+    assert list(heights_apart(points(level))) == [
+        "the heights of all 6 points are 30, which a survey hardly gives"
+    ]

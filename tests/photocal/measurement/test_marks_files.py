@@ -84,7 +84,7 @@ def test_names_in_doubt_stay_as_they_are() -> None:
             "<gcps><GCP label='1'/></gcps>",
             "is no XML of Metashape.*from Pix4D export the marks as text",
         ),
-        ("m.json", "[]", "is no ground_control_points"),
+        ("m.json", "[]", "is not a ground_control_points"),
     ],
 )
 def test_wrong_files_are_named(name: str, content: str, said: str, tmp_path: Path) -> None:

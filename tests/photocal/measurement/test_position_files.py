@@ -68,5 +68,5 @@ def test_a_spreadsheet_of_positions(tmp_path: Path) -> None:
     assert (placed.latitude_deg, placed.longitude_deg, placed.altitude_m) == (-22.9, -43.25, 61.5)
     assert all(sigma != sigma for sigma in placed.position_sigma_m)
     path.write_text("image,E,N,Z\na,500000,7000000,61.5\n")
-    with pytest.raises(InputMalformedError, match="does not name its system"):
+    with pytest.raises(InputMalformedError, match="does not state its system"):
         read_positions(path, ["a.JPG"])

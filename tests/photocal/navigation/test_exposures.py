@@ -213,7 +213,7 @@ def test_names_with_blanks_stay_names(photocal: Photocal, shared: Path, tmp_path
     assert answer.code == 0, answer.err
     figures = json.loads(answer.out)
     assert sum(camera["matched"] for camera in figures["cameras"]) == len(wanted)
-    assert "names end at a blank" in figures["geo_txt"]
+    assert "names in it end at a blank" in figures["geo_txt"]
     assert not (out / "geo.txt").exists()
     assert {row["image"] for row in table(out / "images.csv")} == wanted
     cells = [row["image"] for row in table(out / "exposures.csv") if row["image"]]

@@ -170,7 +170,7 @@ def test_the_tank_as_its_study_found_it() -> None:
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        ("point,X,Y,Z,nX\na,0,0,0,1\n", "half a normal"),
+        ("point,X,Y,Z,nX\na,0,0,0,1\n", "incomplete normal"),
         ("point,X,Y,Z,nX,nY,nZ\na,0,0,0,0,0,1\nb,1,0,0,0,0,0\n", "line 3: the normal has no length"),
         ("point,X,Y,Z\na,0,0,0\na,1,0,0\n", "twice"),
     ],

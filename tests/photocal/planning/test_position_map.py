@@ -1,4 +1,4 @@
-"""Observed less adjusted camera positions: the formula, and files and words of `photocal flown`."""
+"""Observed minus adjusted camera positions: the formula, and files and words of `photocal flown`."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_the_command_maps_them_and_names_strips_without_control(
     with closing(sqlite3.connect(tmp_path / "flown" / "positions.gpkg")) as database:
         assert database.execute("select count(*) from positions").fetchone() == (len(rows),)
     assert (tmp_path / "flown" / "positions.svg").read_text(encoding="utf-8").startswith("<?xml")
-    assert "observed less adjusted" in said.out
+    assert "observed minus adjusted" in said.out
     counts = figures["control_by_strip"]
     assert sum(row["images"] for row in counts) == len(block.images.names)
     bare = [row["strip"] for row in counts if not row["control_points"]]

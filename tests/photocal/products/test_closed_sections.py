@@ -112,7 +112,7 @@ def test_the_command(tmp_path: Path) -> None:
 
 
 def test_what_encloses_nothing() -> None:
-    with pytest.raises(IllPosedError, match="no outline"):
+    with pytest.raises(IllPosedError, match="not make an outline"):
         measure_closed(rings(ellipse(3, 1, 1)[None], np.array([0.0])), "curve")
     with pytest.raises(IllPosedError, match="different mean heights"):
         measure_closed(rings(np.tile(ellipse(8, 1, 1), (2, 1, 1)), np.zeros(2)), "curve")

@@ -58,5 +58,5 @@ def test_the_command_prints_it() -> None:
 
 def test_levels_that_make_no_table(tank: Tank) -> None:
     for step in (0.0, 20.0):
-        with pytest.raises(ConfigurationError, match="make no table"):
+        with pytest.raises(ConfigurationError, match="do not make a table"):
             filling_table(tank, step)

@@ -278,7 +278,7 @@ def test_the_file_is_a_tiled_geotiff(photocal: Callable[..., Any], tmp_path: Pat
         (["--cell", "0"], 5, "positive length"),
         (["--resampling", "lanczos"], 5, "use nearest, bilinear, cubic"),
         (["--crs", "EPSG:4326"], 5, "different reference systems"),
-        (["--crs", "nowhere"], 5, "no known reference system"),
+        (["--crs", "nowhere"], 5, "not a known reference system"),
         (["--heights", "orthometric"], 5, "the block has local heights"),
         (["--bounds", "1,2,3"], 5, "a rectangle"),
         (["--bounds", "0,0,10,10"], 4, "does not reach the images"),

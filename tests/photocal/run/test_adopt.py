@@ -277,7 +277,7 @@ def test_variants_of_a_pix4d_project(tmp_path: Path, adjusted: Reconstruction) -
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("imageName, ", "name, ", "line 1: is no head with a column imageName"),
+        ("imageName, ", "name, ", "line 1: is not a header with a column imageName"),
         (", 0.98999999999999999112", "", "line 2: has 21 cells where the head has 22"),
     ],
 )

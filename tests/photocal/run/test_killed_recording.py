@@ -148,7 +148,7 @@ def trajectory(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
 
 
 def test_the_recorder_says_what_the_first_one_left(outcome: Outcome) -> None:
-    assert any("has no end" in line for line in outcome.told)
+    assert any("was not closed" in line for line in outcome.told)
 
 
 def test_the_images_of_the_gap_are_named_and_no_others(outcome: Outcome) -> None:

@@ -127,7 +127,7 @@ def test_an_adjustment_without_marks_says_what_is_missing(ask: Ask) -> None:
     status, refused = ask("/adjust", {})
     assert (status, refused) == (
         422,
-        "no image has marks enough to be adjusted; mark control points in more images",
+        "no image has enough marks for an adjustment; mark control points in more images",
     )
 
 
