@@ -75,7 +75,7 @@ const map = {
       width / 2 + (east - this.centre[0]) * this.scale,
       height / 2 - (north - this.centre[1]) * this.scale,
     ];
-    const order = ["plan", "track", "picture", "station", "missed"];
+    const order = ["coverage", "plan", "track", "picture", "station", "missed"];
     const sorted = [...this.layers.values()].sort((a, b) => order.indexOf(a.kind) - order.indexOf(b.kind));
     for (const layer of sorted) DRAW[layer.kind](pen, layer, at);
     if (this.origin) scaleBar(pen, height, step, step * this.scale);
@@ -145,6 +145,16 @@ const map = {
 };
 
 const DRAW = {
+  // Where pictures overlap it is darker: four corners each.
+  coverage(pen, layer, at) {
+    pen.fillStyle = colour("cover");
+    for (let row = 0; row + 3 < layer.places.length; row += 4) {
+      pen.beginPath();
+      for (let k = row; k < row + 4; k++) pen[k === row ? "moveTo" : "lineTo"](...at(layer.places[k]));
+      pen.fill();
+    }
+  },
+
   // What was to be flown: beneath all that is.
   plan(pen, layer, at) {
     pen.strokeStyle = colour("quiet");
@@ -319,7 +329,7 @@ function description(sorted) {
   const of = (kind) => sorted.filter((layer) => layer.kind === kind);
   const count = (kind) => of(kind).reduce((sum, layer) => sum + layer.places.length, 0);
   const tracks = of("track").map((layer) => layer.name).sort().join(", ") || "none";
-  return `Map: tracks ${tracks}; ${count("picture")} pictures, ${count("missed")} missed`;
+  return `Map: tracks ${tracks}; ${count("picture")} pictures, ${count("missed")} missed, ${count("coverage") / 4} with coverage`;
 }
 
 function handleMap() {

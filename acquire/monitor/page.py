@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
-from acquire.monitor.planned import planned_line
+from acquire.monitor.planned import planned_footprint, planned_line
 from acquire.monitor.state import RecordingState
 from acquire.monitor.view_model import MapLayer, layers, view_of
 from photocal.base.web import packaged
@@ -40,6 +40,7 @@ class Latest:
         # Under all that is flown lies what was to be flown.
         planned = () if plan is None else (MapLayer("plan", plan.stem, planned_line(plan), str(plan)),)
         self.planned: tuple[MapLayer, ...] = planned
+        self.footprint = None if plan is None else planned_footprint(plan)
         self._debrief = debrief
         self.state = RecordingState()
         self._folder = folder
@@ -142,7 +143,7 @@ async def _events(latest: Latest) -> AsyncIterator[str]:
             continue
         seen, state = latest.number, latest.state
         yield _event("view", {**view_of(state).as_json(), "heard": latest.heard()})
-        yield _event("chart", _news((*latest.planned, *layers(state)), drawn))
+        yield _event("chart", _news((*latest.planned, *layers(state, latest.footprint)), drawn))
         debrief = latest.debrief()
         if debrief != sent:
             sent = debrief

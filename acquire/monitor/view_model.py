@@ -7,6 +7,7 @@ import numpy as np
 
 from acquire.channels.decoded import SECOND_NS
 from acquire.monitor.exposures import CountedPictures, numbers
+from acquire.monitor.planned import covered
 from acquire.monitor.state import Battery, LinkState, ReceiverState, RecordingState, ShownAlarm, VehicleState
 from acquire.monitor.traffic import (
     DEAD_CORRECTION_S,
@@ -25,7 +26,7 @@ from photocal.base.arrays import Floats
 class MapLayer:
     """A line or points of one name.
 
-    kind: ``track``, ``picture``, ``missed``, ``station`` or ``plan``.
+    kind: ``track``, ``picture``, ``missed``, ``station``, ``plan`` or ``coverage``: four corners a picture.
     points (n, 2): latitude and longitude, degrees.
     edition: as long as it stays, points were only added.
     labels: what stands beside the points; empty for nothing.
@@ -38,20 +39,26 @@ class MapLayer:
     labels: tuple[str, ...] = ()
 
 
-def layers(state: RecordingState) -> list[MapLayer]:
-    """Return what is drawn of a state: one track for each vehicle and receiver, each picture once."""
+def layers(state: RecordingState, footprint: tuple[float, float] | None = None) -> list[MapLayer]:
+    """Return what is drawn of a state: one track for each vehicle and receiver, each picture once.
+
+    footprint: of a picture along and across the flight, m, to show what is covered.
+    """
+    tracks = _shown_tracks(state)
     drawn = [
         MapLayer("track", name, track.points, f"{state.flight} {key} {track.thinned}")
-        for name, key in _shown_tracks(state).items()
+        for name, key in tracks.items()
         for track in [state.tracks[key]]
     ]
     # Both the vehicle and the receiver tell of the same picture: what the camera reported counts.
     kind = "feedback" if "feedback" in {kind for _, kind in state.pictures} else "rising"
-    drawn += [
-        MapLayer("picture", name, track.points, f"{state.flight} {source}")
-        for (name, source), track in sorted(state.pictures.items())
-        if source == kind
-    ]
+    for (name, source), track in sorted(state.pictures.items()):
+        if source == kind:
+            drawn.append(MapLayer("picture", name, track.points, f"{state.flight} {source}"))
+            flown = tracks.get(name) or next(iter(tracks.values()), "")
+            if footprint is not None and flown:
+                corners = covered(track, state.tracks[flown], footprint)
+                drawn.append(MapLayer("coverage", name, corners, f"{state.flight} {source}"))
     for name, counted in (*sorted(state.exposures.items()), *sorted(state.marks.items())):
         missed = [(str(t.number), t.place) for t in counted.unreported if t.place is not None]
         if missed:

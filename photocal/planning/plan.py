@@ -90,6 +90,7 @@ def to_json(
         "area_ha": flight.area_m2 / 1e4,
         "azimuth_deg": math.degrees(flight.azimuth_rad) % 180.0,
         "levels": [_level(level) for level in flight.levels],
+        "along": flight.request.along,
         "strips": len(flight.strips),
         **picked(flight, "exposures", "distance_m", "duration_s"),
         "error_budget_m": {target.name: error_budget(target.ep_m) for target in targets},

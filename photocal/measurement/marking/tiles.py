@@ -4,9 +4,9 @@ A pixel of level k covers 2^k by 2^k stored pixels, beginning with those of the 
 column j has its centre at the stored column 2^k j + (2^k - 1) / 2, in all formats.
 """
 
-import threading
 import time
 from collections import OrderedDict
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 TILE_PX = 512
-# Decoded levels are held until they are this many pixels together, 3 bytes each; one may be larger.
+# Decoded levels are held until they are this many pixels together, 4 bytes each; one may be larger.
 _HELD_PX = 80_000_000
 # Tiles on disk: about 40 pictures of 50 megapixels looked at all over, for a month.
 MOST_BYTES = 2_000_000_000
@@ -60,8 +60,9 @@ class Tiles:
         self._written = most_bytes
         self._keys: dict[Path, tuple[tuple[int, int], str]] = {}
         self._levels: OrderedDict[tuple[str, int], Image] = OrderedDict()
-        # One picture is decoded at a time: several of 50 megapixels would fill the memory.
-        self._decoding = threading.Lock()
+        # One picture is decoded at a time, by one thread: several of 50 megapixels would fill the memory, and
+        # what a thread gives back is kept for it alone.
+        self._decoding = ThreadPoolExecutor(1)
 
     def tile(self, picture: Path, address: TileAddress) -> bytes:
         """Give a tile as JPEG.
@@ -106,35 +107,49 @@ class Tiles:
         # No picture has more levels: a side of 2^24 pixels.
         most_levels = 16
         if not 0 <= address.level <= most_levels:
-            raise InputNotFoundError("has no such tile", "choose another place", where=picture)
-        with self._decoding:
-            level = self._level(picture, key, address.level)
-        left, top = address.column * TILE_PX, address.row * TILE_PX
-        if address.column < 0 or address.row < 0 or left >= level.width or top >= level.height:
-            raise InputNotFoundError("has no such tile", "choose another place", where=picture)
-        part = level.crop((left, top, min(left + TILE_PX, level.width), min(top + TILE_PX, level.height)))
+            raise InputNotFoundError("has no such tile", "look at another place", where=picture)
+        part = self._decoding.submit(self._part, picture, key, address).result()
         written = BytesIO()
         # Of JPEG: nothing is lost that an eye sees.
         quality = 88
         part.save(written, "JPEG", quality=quality)
         return written.getvalue()
 
+    def _part(self, picture: Path, key: str, address: TileAddress) -> "Image":
+        level = self._level(picture, key, address.level)
+        left, top = address.column * TILE_PX, address.row * TILE_PX
+        if address.column < 0 or address.row < 0 or left >= level.width or top >= level.height:
+            raise InputNotFoundError("has no such tile", "look at another place", where=picture)
+        return level.crop((left, top, min(left + TILE_PX, level.width), min(top + TILE_PX, level.height)))
+
     def _level(self, picture: Path, key: str, level: int) -> "Image":
         held = self._levels.get((key, level))
         if held is None:
             finer = [k for name, k in self._levels if name == key and k < level]
-            held = (
-                self._levels[key, max(finer)].reduce(1 << (level - max(finer)))
-                if finer
-                else _decoded(picture, level)
-            )
+            if finer:
+                held = self._levels[key, max(finer)].reduce(1 << (level - max(finer)))
+            else:
+                # Room is made before a picture is decoded, not after.
+                self._let_go(self._size(picture, level))
+                held = _decoded(picture, level)
             self._levels[key, level] = held
         self._levels.move_to_end((key, level))
-        while len(self._levels) > 1 and (
-            sum(image.width * image.height for image in self._levels.values()) > self._held_px
+        self._let_go(0)
+        return held
+
+    def _size(self, picture: Path, level: int) -> int:
+        """Pixels of a level of a picture."""
+        with opened(picture) as image:
+            width, height = image.size
+        return (width >> level) * (height >> level)
+
+    def _let_go(self, more_px: int) -> None:
+        """Let the levels go that were used longest ago, until so many pixels more have room."""
+        kept = int(more_px == 0)
+        while len(self._levels) > kept and (
+            more_px + sum(image.width * image.height for image in self._levels.values()) > self._held_px
         ):
             self._levels.popitem(last=False)
-        return held
 
 
 def _decoded(picture: Path, level: int) -> "Image":
@@ -143,12 +158,12 @@ def _decoded(picture: Path, level: int) -> "Image":
 
     with opened(picture) as image:
         if level > coarsest_level(image.size):
-            raise InputNotFoundError("has no such tile", "choose another place", where=picture)
+            raise InputNotFoundError("has no such tile", "look at another place", where=picture)
         if image.mode not in _MANY_BITS:
             done = _scaled(image, level)
             stored = as_stored(image)
             shown = stored if stored.mode in ("L", "RGB") else stored.convert("RGB")
-            return shown.reduce(1 << (level - done)) if level > done else shown.copy()
+            return shown.reduce(1 << (level - done)) if level > done else shown
     return Image.fromarray(as_eight_bit(read_grey(picture))).reduce(1 << level)
 
 

@@ -20,6 +20,7 @@ import pytest
 
 from tests.conftest import Once
 from tests.photocal.desk.conftest import HOSTILE, fresh
+from tests.photocal.run.typed_site import resized
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -169,6 +170,28 @@ def test_from_the_folder_to_the_signed_certificate(
     shutil.copyfile(packed.value.path(), sent)
     page.locator("#sent").set_input_files(sent)
     expect(page.locator(".pane > section").last).to_contain_text("signed by a known key")
+
+
+@pytest.mark.timeout(900)
+def test_sizes_of_marks_are_chosen_in_the_pictures_by_keys(
+    page: Page, port: int, serve: Callable[[Path], subprocess.Popen[str]], once: Once, tmp_path: Path
+) -> None:
+    serve(fresh(once, tmp_path / "half", "desk-half", change=resized(0.5)))
+    page.goto(f"http://127.0.0.1:{port}/#/folder")
+    page.get_by_role("button", name="Inspect this folder").press("Enter")
+    half = page.get_by_role("radio", name="size × 1/2", exact=True)
+    expect(half).to_be_checked()
+    # A crop of each mark, in each row.
+    assert page.locator(".frame-offer").count() > 1
+    expect(page.locator(".frame-offer").first.locator("canvas")).to_have_count(3)
+    accessible(page)
+    stored = page.get_by_role("radio", name="as the pictures are stored")
+    stored.press("Space")
+    expect(page.locator("#command code")).to_contain_text("--marks 1 --again")
+    expect(stored).to_be_checked()
+    expect(stored).to_be_focused()
+    page.get_by_role("button", name="Português").press("Enter")
+    expect(page.get_by_role("radio", name="como as imagens estão gravadas")).to_be_checked()
 
 
 @pytest.mark.timeout(900)

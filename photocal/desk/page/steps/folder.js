@@ -114,6 +114,8 @@ export async function mount(element, context) {
       fill(box, h("legend", {}, say("field.marks")), h("p.quiet", { role: "status" }, say("folder.looking")));
       const answer = await act(context.post("/api/new", { marks: frame }));
       draw(answer ?? project);
+      // Who goes by keys stays where they are.
+      found.querySelector(".frames :checked")?.focus();
       await places();
     };
     const offer = (one, k) => {

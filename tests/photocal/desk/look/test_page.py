@@ -9,7 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
+import rasterio  # type: ignore[import-untyped]
 
 from tests.photocal.desk.client import opened
 from tests.photocal.desk.look.surveys import GROSS_IMAGE, GROSS_POINT
@@ -148,6 +150,21 @@ def test_axe_finds_nothing_serious(browser: Browser, made: Path, tmp_path: Path,
         page.locator(f"#tab-{view}").click()
         page.evaluate("location.hash = '#/look/point/P5'")
         expect(page.locator(".crop").first).to_be_visible()
+        assert serious(page) == []
+
+
+def test_an_orthophoto_is_switched_by_a_key(browser: Browser, finished: Path, tmp_path: Path) -> None:
+    place = rasterio.Affine(0.05, 0.0, -30.0, 0.0, -0.05, 17.0)
+    given = {"driver": "GTiff", "width": 1200, "height": 680, "count": 3, "dtype": "uint8"}
+    with rasterio.open(finished / "ortho.tif", "w", transform=place, **given) as made:
+        made.write(np.full((3, 680, 1200), 120, np.uint8))
+    with looking(browser, finished, tmp_path / "cache", "pt-BR") as page:
+        switch = page.get_by_role("checkbox", name="ortofoto")
+        expect(switch).not_to_be_checked()
+        with page.expect_response(lambda answer: "/api/look/ground/" in answer.url) as tile:
+            switch.press("Space")
+        assert tile.value.status == 200
+        expect(switch).to_be_checked()
         assert serious(page) == []
 
 
