@@ -326,28 +326,27 @@ def _printed(path: Path, as_json: bool) -> None:
     from photocal.findings.texts import catalogue, finding_text
     from photocal.report.derived_figures import check_printed, verdict
 
-    checked = check_printed(path)
+    name, findings, limits = check_printed(path)
     say = catalogue("en")
-    refused = [finding for finding in checked.findings if finding.severity == "refused"]
-    judged = verdict(checked.limits)
+    refused = [finding for finding in findings if finding.severity == "refused"]
+    judged = verdict(limits)
     answer(
         as_json,
         lambda: {
-            "name": checked.name,
+            "name": name,
             "plausible": not refused,
             "findings": [
-                {**vars(f), "figures": dict(f.figures), "text": finding_text(f, say)}
-                for f in checked.findings
+                {**vars(f), "figures": dict(f.figures), "text": finding_text(f, say)} for f in findings
             ],
             "acceptance": {
                 "verdict": judged,
-                "limits": [{**vars(limit), "met": limit.met} for limit in checked.limits],
+                "limits": [{**vars(limit), "met": limit.met} for limit in limits],
             },
         },
         lambda: "\n".join(
             [
-                f"{checked.name}, as printed; limits of the ministry: {say(f'acceptance.{judged}').lower()}",
-                *(f"  {say(f'plausibility.{f.severity}')}: {finding_text(f, say)}" for f in checked.findings),
+                f"{name}, as printed; limits of the ministry: {say(f'acceptance.{judged}').lower()}",
+                *(f"  {say(f'plausibility.{f.severity}')}: {finding_text(f, say)}" for f in findings),
             ]
         ),
     )

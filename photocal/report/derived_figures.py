@@ -117,22 +117,11 @@ class PrintedKeys(Table):
     residuals: ResidualKeys = ResidualKeys()
 
 
-@dataclass(frozen=True)
-class PrintedCheck:
-    """What the check of a printed calibration gave.
-
-    limits: the ministry's limits, with the figures taken as they are printed.
-    """
-
-    name: str
-    findings: tuple[Finding, ...]
-    limits: tuple[Limit, ...]
-
-
-def check_printed(path: Path) -> PrintedCheck:
+def check_printed(path: Path) -> tuple[str, tuple[Finding, ...], tuple[Limit, ...]]:
     """Check a printed calibration against itself.
 
     path: TOML file with the printed figures.
+    returns: its name, findings, and the ministry's limits, with the figures taken as they are printed.
     raises InputNotFoundError: when there is no such file.
     raises ConfigurationError: for a wrong key or value.
     """
@@ -146,7 +135,7 @@ def check_printed(path: Path) -> PrintedCheck:
     pixel = camera.pixel_size_mm
     dz = expected_altimetric_error_cm(flight.flying_height_m, flight.air_base_m, focal, pixel)
     checked = limits(keys.residuals.image_rmse_mm, pixel, keys.residuals.check_rmse_cm, flight.gsd_cm, dz)
-    return PrintedCheck(keys.calibration.name, plausibility(record), checked)
+    return keys.calibration.name, plausibility(record), checked
 
 
 def _record_of_print(keys: PrintedKeys, path: Path) -> CalibrationRecord:

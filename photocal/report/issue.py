@@ -143,8 +143,8 @@ def _camera(run: AnalysedRun, known: DerivedFigures) -> dict[str, Any]:
 def _report(context: Context) -> list[dict[str, str]]:
     return [
         {
-            **picked(entry.row, "section", "item", "key", "unit"),
-            "label": entry.row.labels[context.say.language],
+            **picked(entry, "section", "item", "key", "unit"),
+            "label": entry.labels[context.say.language],
             **picked(entry, "value", "origin"),
         }
         for entry in entries(read_layout(), context)

@@ -6,7 +6,7 @@ Sheets to print for the field and the laboratory: stations, flight, targets, pic
 import csv
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -310,42 +310,35 @@ def corners(c: Context) -> tuple[tuple[str, ...], ...]:
 
 
 @dataclass(frozen=True)
-class LayoutRow:
-    """One row of the form: where it stands, what fills it, how it is called in each language."""
+class FormRow:
+    """One row of the form: where it stands, what fills it, how it is called in each language.
+
+    value, origin: what it was filled with, and where that came from.
+    """
 
     section: str
     item: str
     key: str
     labels: Mapping[str, str]
     unit: str
+    value: str = ""
+    origin: Origin = "not_determined"
 
 
-@dataclass(frozen=True)
-class FormEntry:
-    """A row with its value and where that came from."""
-
-    row: LayoutRow
-    value: str
-    origin: Origin
-
-
-def read_layout() -> tuple[LayoutRow, ...]:
-    """Read the rows of the form."""
+def read_layout() -> tuple[FormRow, ...]:
+    """Read the rows of the form, not filled in yet."""
     with LAYOUT.open(encoding="utf-8", newline="") as stream:
         return tuple(
-            LayoutRow(row["section"], row["item"], row["key"], row, row["unit"])
+            FormRow(row["section"], row["item"], row["key"], row, row["unit"])
             for row in csv.DictReader(stream)
         )
 
 
-def entries(layout: tuple[LayoutRow, ...], context: Context) -> tuple[FormEntry, ...]:
+def entries(layout: tuple[FormRow, ...], context: Context) -> tuple[FormRow, ...]:
     """Fill every row."""
-    filled = [(row, FILLERS[row.key](context)) for row in layout]
-    missing = context.say("ministry.not_determined")
-    return tuple(
-        FormEntry(row, *value) if value else FormEntry(row, missing, "not_determined")
-        for row, value in filled
-    )
+    missing: tuple[str, Origin] = context.say("ministry.not_determined"), "not_determined"
+    filled = ((row, *(FILLERS[row.key](context) or missing)) for row in layout)
+    return tuple(replace(row, value=value, origin=origin) for row, value, origin in filled)
 
 
 # Sheets by what they are for; their words stand in the catalogue under forms.NAME, lines with bars between.

@@ -282,13 +282,12 @@ def technical_report(title: str, context: Context) -> Section:
     say = context.say
     heads = columns(say, "ministry", "item<", "field<", "value<", "origin<")
     rows = []
-    for entry in entries(read_layout(), context):
-        row = entry.row
+    for row in entries(read_layout(), context):
         # Only the letters of the form name an item; "table 1" or "planimetric" say where it stands.
         letter = row.item.split()[0]
         item = f"{row.section} {letter}" if len(letter) == 1 and letter.isalpha() else row.section
         label = row.labels[say.language] + (f" [{row.unit}]" if row.unit else "")
-        rows.append((item, label, entry.value, say(f"ministry.origin_{entry.origin}")))
+        rows.append((item, label, row.value, say(f"ministry.origin_{row.origin}")))
     corner_heads = columns(say, "ministry", "corner<", "column [px]", "line [px]", "x [mm]", "y [mm]")
     table = TablePart(say("ministry.table"), heads, tuple(rows), widths=(0.11, 0.31, 0.44, 0.14))
     note = say("ministry.corner_note")

@@ -146,7 +146,7 @@ def test_offsets_and_table_3_come_from_the_run(tmp_path: Path) -> None:
     analyse_run(tmp_path / "run", tmp_path / "flight")
     run, given, say = read_run(tmp_path / "run"), read_particulars(None, DAY), catalogue("en")
     rows = {
-        entry.row.key: entry
+        entry.key: entry
         for entry in entries(read_layout(), Context(run, given, derived_figures(run, "cam", given), say))
     }
     assert rows["lever_arm"].origin == rows["eo_quality"].origin == "computed"

@@ -40,7 +40,7 @@ def test_printed_calibration_is_refused_for_what_is_wrong_with_it() -> None:
 
 def test_its_limits_are_those_of_the_form() -> None:
     """dz 24.45086 cm with the nominal focal length and the printed pixel."""
-    limits = {limit.key: limit for limit in check_printed(STUDY).limits}
+    limits = {limit.key: limit for limit in check_printed(STUDY)[2]}
     assert limits["altimetric"].limit == pytest.approx(24.45086, abs=5e-6)
     assert limits["planimetric"].limit == 3.17
 
