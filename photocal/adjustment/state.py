@@ -55,10 +55,12 @@ def lenses(network: Network, state: State) -> Floats:
     given = np.zeros((1, len(MOTION))) if exposures.motion is None else exposures.motion
     shakes = given.shape[1] > len(MOTION) or any(camera.shake for camera in network.cameras)
     still = len(MOTION + SHAKE if shakes else MOTION)
-    if not lens_by_image(network):
-        return np.pad(state.cameras, ((0, 0), (0, still)))
-    values = np.pad(state.cameras[exposures.camera], ((0, 0), (0, still)))
-    at = len(PARAMETERS)
+    by_image, at = lens_by_image(network), len(PARAMETERS)
+    of_camera = state.cameras[exposures.camera] if by_image else state.cameras
+    values = np.zeros((len(of_camera), at + still))
+    values[:, :at] = of_camera
+    if not by_image:
+        return values
     values[:, at : at + given.shape[1]] = values[:, at - 1 : at] * given
     parameters = own_parameters(network)
     image, place = np.nonzero(parameters >= 0)

@@ -387,8 +387,11 @@ def testable(network: Network, entry: Fault) -> bool:
 
 def freed(network: Network, causes: Iterable[Cause]) -> tuple[tuple[Camera, ...], Mounting]:
     """Cameras and mounting with what some causes free, weakly observed as it is given."""
+    opening = [cause for cause in causes if cause.fault.frees]
+    if not opening:
+        return network.cameras, network.mounting
     cameras, sigma = list(network.cameras), network.mounting.sigma.copy()
-    for cause in causes:
+    for cause in opening:
         entry = cause.fault
         if of_camera(entry):
             at = cause.members[:1] if entry.each == "part" and cause.members else range(len(cameras))
@@ -407,8 +410,6 @@ def freed(network: Network, causes: Iterable[Cause]) -> tuple[tuple[Camera, ...]
                         if not (cameras[k].estimated[p] and not np.isfinite(cameras[k].prior_sigma[p]))
                     },
                 )
-            continue
-        if not entry.frees:
             continue
         for column in common_columns(network, cause):
             # What is free already stays so.

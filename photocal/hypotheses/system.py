@@ -6,8 +6,7 @@ or errors of rays, positions and control points are added (Rao 1948): fall of v'
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -53,11 +52,15 @@ class System:
     shared: Condensed
     matrix: Floats
     right: Floats
+    _known: list[tuple[tuple[Camera, ...], Mounting, Observed]] = field(default_factory=list, repr=False)
 
-    @cached_property
-    def _there(self) -> Observed:
-        """What the values of what is shared bring as they stand in the matrix."""
-        return observed(self.shared, self.shared.cameras, self.shared.mounting)
+    def _brought(self, cameras: tuple[Camera, ...], mounting: Mounting) -> Observed:
+        """What the values of what is shared bring: most causes leave these very ones as they are."""
+        for others, other, brought in self._known:
+            if others is cameras and other is mounting:
+                return brought
+        self._known.append((cameras, mounting, observed(self.shared, cameras, mounting)))
+        return self._known[-1][2]
 
     @property
     def border(self) -> int:
@@ -72,8 +75,8 @@ class System:
         returns: matrix and right side of the unknowns, their places, v'Pv and degrees of freedom with all
             unknowns at the state.
         """
-        there = self._there
-        here = observed(self.shared, cameras, mounting)
+        there = self._brought(self.shared.cameras, self.shared.mounting)
+        here = self._brought(cameras, mounting)
         extra = self.border + np.asarray(added, dtype=np.int64)
         chosen = np.concatenate([np.flatnonzero(here.unknown), extra])
         matrix, right = self.matrix.copy(), self.right.copy()
