@@ -262,6 +262,9 @@ def facts_of_tags(
 ) -> ImageFacts:
     """Make the facts of a picture from its tags, as `picture_facts` names them, and its GPS directory."""
     read = read_table(tags)
+    if not min(read["position_sigma_m"]) > 0:
+        # Zeros are what a receiver writes that has no solution.
+        read["position_sigma_m"] = NOT_GIVEN
     orientation = as_number(tags.get("EXIF:Orientation"))
     latitude = _angle(gps.get(2), as_text(gps.get(1)), "S", 90.0)
     longitude = _angle(gps.get(4), as_text(gps.get(3)), "W", 180.0)

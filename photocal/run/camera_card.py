@@ -84,7 +84,11 @@ def chosen_pictures(folder: Path, pictures: Pictures, events: Sequence[Path]) ->
 def _sorted_card(folder: Path, pictures: Pictures, events: Sequence[Path]) -> ChosenPictures | None:
     """Sort the pictures of a card; None where nothing is to be sorted, or the folder is no card."""
     paths = {where / image.name: image for where, some in pictures.items() for image in some}
-    if not any(_MEDIA.fullmatch(part) for path in paths for part in path.relative_to(folder).parts[:-1]):
+    # Lenses of one gimbal are told by names alone, too, where the folders of the card are gone.
+    gimbal = {"W", "V", "Z", "T"}
+    several = len(gimbal & {_lens(path.name) for path in paths}) > 1
+    inner = (part for path in paths for part in path.relative_to(folder).parts[:-1])
+    if not several and not any(map(_MEDIA.fullmatch, inner)):
         return None
     aside, lenses = defaultdict[str, list[Path]](list), defaultdict[str, list[Path]](list)
     for path in sorted(paths):

@@ -9,18 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from photocal.base.errors import InputNotFoundError, OutputError
+from photocal.base.errors import InputNotFoundError, OutputError, PhotocalError
 from photocal.base.files import output_file, rows_text
 from photocal.base.policy import policy
 from photocal.block.model import NO_POINTS, ROLES, ObjectPoints
 from photocal.block.network import OTHER_SURFACE_M
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.measurement.control_review import listed as some_names
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
 from photocal.measurement.maker_camera import HeadGroup, StatedCamera, group_cameras, stated_camera
 from photocal.measurement.mark_frames import AS_STORED, FrameOffer, parse_frame
 from photocal.measurement.marks import named_after
-from photocal.measurement.picture_tests import judge_cameras, told_beside
+from photocal.measurement.picture_tests import judge_cameras, judge_pictures, told_beside
+from photocal.measurement.position_files import read_positions
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
@@ -280,12 +282,13 @@ class _Text:
         yield f"folder = {_quoted(self._beside(self.pictures))}"
         if self.listed:
             yield f"pictures = {_quoted(PICTURES)}  # camera and exposure of each"
-        tables = self.seen.positions or (self.seen.events if stated < count else [])
+        events = self._events() if stated < count and not (self.seen.logs or self.seen.positions) else []
+        tables = self.seen.positions or events
         if len(tables) == 1 and not self.seen.logs:
             comment = "  # with their sigmas" if stated else ""
             yield f"positions = {_quoted(self._beside(tables[0]))}{comment}"
-        elif self.seen.positions:
-            names = ", ".join(map(self._beside, self.seen.positions))
+        elif tables:
+            names = ", ".join(map(self._beside, tables))
             self.missing.append(f"pictures have positions in {names}: name one as positions in [images]")
         yield 'lens = "unknown"  # chosen by the fit: brown-ideal, brown-observed, K4, B1; or "given"'
         if self.seen.logs or not self.placed or self.crs == "local":
@@ -293,6 +296,30 @@ class _Text:
         if stated < len(self.placed):
             sigma = CODE_LEVEL_M if not self.marks else (*CODE_LEVEL_M[:2], OTHER_SURFACE_M)
             yield f"position_sigma_m = {list(sigma)}  # east, north, up: assumed, not stated by the pictures"
+
+    def _events(self) -> list[Path]:
+        """Lists of exposures that may be those of the pictures; says why others are not used."""
+        names, usable = [image.name for image in self.facts], list[Path]()
+        for path in self.seen.events:
+            try:
+                listed = list(map(read_positions(path, names), self.facts))
+            except PhotocalError as refusal:
+                self.missing.append(f"not used: {refusal}")
+                continue
+            apart = [found for found in judge_pictures(listed) if found.code == "table-beside-pictures"]
+            told = [f"{self._beside(path)}: {finding_text(one, catalogue('en'), plain)}" for one in apart]
+            known = sum(bool(np.isfinite(image.table_apart_m)) for image in listed)
+            if any(2 * found.figures["n"] > known for found in apart):
+                self.missing += [f"not used: {line}" for line in told]
+                continue
+            usable.append(path)
+            self.missing += told
+            if own := [image.name for image in listed if image.altitude_kind != "table"]:
+                self.missing.append(
+                    f"{self._beside(path)} has {len(listed) - len(own)} of the {len(listed)} pictures: "
+                    f"positions of {some_names(own)} stay their own"
+                )
+        return usable
 
     def _cameras(self) -> Iterator[str]:
         known = {stated.size_px: stated for stated in (self.given.cameras if self.given is not None else ())}

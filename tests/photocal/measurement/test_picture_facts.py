@@ -153,6 +153,15 @@ def test_an_unknown_maker_is_left_with_exif(tmp_path: Path) -> None:
     assert (own.gps_utc, own.height_kind, own.fix) == ("2026-05-20T12:01:02.500000", "", "")
 
 
+@pytest.mark.parametrize(
+    ("lon", "lat", "up"), [("0.0", "0.0", "0.0"), ("0.00000", "0.0113", "0.02"), ("-1", "0.01", "0.02")]
+)
+def test_sigmas_that_are_not_positive_are_none(lon: str, lat: str, up: str) -> None:
+    tags = f'drone-dji:RtkStdLon="{lon}" drone-dji:RtkStdLat="{lat}" drone-dji:RtkStdHgt="{up}"'
+    own = facts(f'<rdf:Description drone-dji:RtkFlag="0" {tags}/>')
+    assert all(math.isnan(sigma) for sigma in own.position_sigma_m)
+
+
 def test_only_above_take_off_is_no_ellipsoid() -> None:
     place = 'drone-dji:GpsLatitude="1.0" drone-dji:GpsLongitude="2.0"'
     packet = f'<rdf:Description {place} drone-dji:RelativeAltitude="30"/>'

@@ -1,8 +1,8 @@
-"""A control list beside pictures with positions: a slip of all its points is named by `photocal new`."""
+"""Control and lists of exposures beside pictures with positions: `photocal new` names contradictions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -28,20 +28,25 @@ def utm(place: Place) -> Place:
     return east, north, place[2]
 
 
+def write_picture(path: Path, place: Place) -> None:
+    """Write a small picture that states a position 50 m above a point."""
+    longitude, latitude, height = place
+    exif = Image.Exif()
+    exif[271], exif[272] = "Autel Robotics", "XT705"
+    exif.get_ifd(0x8769).update({37386: IFDRational(1057, 100), 41989: 29})
+    degrees = {2: latitude, 4: longitude}
+    exif.get_ifd(0x8825).update(
+        {1: "N", 3: "E", 5: b"\0", 6: IFDRational(round(10 * (height + 50)), 10)}
+        | {key: (int(v), 0, IFDRational(round(v % 1 * 3.6e7), 10_000)) for key, v in degrees.items()}
+    )
+    Image.new("L", (64, 48), 120).save(path, exif=exif)
+
+
 def folder_of(folder: Path, system: str, written: Callable[[Place], Place], table: str = "") -> Path:
     """Write pictures and a list; each point is marked in two of the pictures."""
-    names = []
-    for k, (longitude, latitude, height) in enumerate(POINTS):
-        exif = Image.Exif()
-        exif[271], exif[272] = "Autel Robotics", "XT705"
-        exif.get_ifd(0x8769).update({37386: IFDRational(1057, 100), 41989: 29})
-        degrees = {2: latitude, 4: longitude}
-        exif.get_ifd(0x8825).update(
-            {1: "N", 3: "E", 5: b"\0", 6: IFDRational(round(10 * (height + 50)), 10)}
-            | {key: (int(v), 0, IFDRational(round(v % 1 * 3.6e7), 10_000)) for key, v in degrees.items()}
-        )
-        names.append(f"MAX_{k:04d}.JPG")
-        Image.new("L", (64, 48), 120).save(folder / names[-1], exif=exif)
+    names = [f"MAX_{k:04d}.JPG" for k in range(len(POINTS))]
+    for name, place in zip(names, POINTS, strict=True):
+        write_picture(folder / name, place)
     rows = [
         "{:.8f}\t{:.8f}\t{:.8f}".format(*written(place)) + f"\t{20 + k}\t{10 + n}\t{names[n]}\tGCP {k}"
         for k, place in enumerate(POINTS)
@@ -122,3 +127,48 @@ def test_metres_beside_degrees_are_control_in_the_zone(tmp_path: Path) -> None:
     assert 'crs = "EPSG:32633"' in made.path.read_text()
     first = (tmp_path / "control.csv").read_text().splitlines()[1].split(",")
     assert [float(cell) for cell in first[1:4]] == pytest.approx(utm(POINTS[0]), abs=0.01)
+
+
+def event(number: int, place: Place) -> str:
+    """A line of a Timestamp.MRK list."""
+    longitude, latitude, height = place
+    return (
+        f"{number}\t{296288.2 + 2 * number:.6f}\t[2211]\t     3,N\t     0,E\t    75,V\t{latitude:.10f},Lat\t"
+        f"{longitude:.10f},Lon\t{height + 50:.3f},Ellh\t0.014, 0.013, 0.029\t50,Q\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("places", "used", "said"),
+    [
+        (POINTS, True, ""),
+        (POINTS[:3], True, "has 3 of the 4 pictures: positions of DJI_0003.JPG stay their own"),
+        ([(lon, lat + 0.06, h) for lon, lat, h in POINTS], False, "is it the table of another flight?"),
+        ([(0.0, 0.0, 0.0)] * 4, False, "4 of 4 positions of the list are impossible"),
+        ([*POINTS[:3], (0.0, 0.0, 0.0)], False, "(event 3)"),
+        ([*POINTS[:3], (16.47, 47.69, 460.0)], False, "(event 3)"),
+    ],
+    ids=["own", "one is lost", "another flight", "zeros", "one zero", "a jump"],
+)
+def test_lists_of_exposures_are_opened_before_they_are_written_down(
+    tmp_path: Path, places: Sequence[Place], used: bool, said: str
+) -> None:
+    for k, place in enumerate(POINTS):
+        write_picture(tmp_path / f"DJI_{k:04d}.JPG", place)
+    (tmp_path / "DJI_202605181012_001_Timestamp.MRK").write_text("".join(map(event, range(4), places)))
+    made = new_project(tmp_path)
+    assert ("positions = " in made.path.read_text()) == used
+    lists = [line for line in made.missing if "Timestamp.MRK" in line]
+    assert any(said in line for line in lists) if said else not lists
+    assert all(line.startswith("not used: ") for line in lists) or used
+
+
+def test_lenses_of_one_gimbal_are_no_rig_where_the_card_was_copied_flat(tmp_path: Path) -> None:
+    for k, place in enumerate(POINTS):
+        for lens in "WT":
+            write_picture(tmp_path / f"DJI_20260518101200_{k:04d}_{lens}.JPG", place)
+    made = new_project(tmp_path)
+    text = made.path.read_text()
+    assert "[[head]]" not in text
+    assert 'folder = "DJI_20260518101200_*_W.JPG"' in text
+    assert any(line.startswith("lens T (thermal): 4 pictures") for line in made.known)
