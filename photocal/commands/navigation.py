@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from photocal.base.console import AsJson, answer, argument, option, spread
+from photocal.base.console import AsJson, Language, answer, argument, option, spread
 from photocal.base.errors import ConfigurationError
 from photocal.navigation.options import ExposureOptions, PpkOptions, ReceiverOptions
 
@@ -85,6 +85,7 @@ def survey(
         ),
     ],
     output: Annotated[Path, option("Folder for points.csv and the summary.", "-o", "--output")],
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Compute static baselines, adjust them as a network and write points with full covariances.
@@ -98,6 +99,7 @@ def survey(
 
     from photocal.base.checked_toml import read_toml
     from photocal.base.files import output_folder, write_json
+    from photocal.findings.texts import catalogue, spoken
     from photocal.navigation.engine import Rtklib
     from photocal.navigation.survey import Survey, run_survey
     from photocal.navigation.survey_report import survey_figures, survey_text, write_points
@@ -110,7 +112,8 @@ def survey(
     with output_folder(output) as folder:
         figures["points_csv"] = write_points(folder / "points.csv", solution, plan.crs)
         write_json(folder / "survey.json", figures, 2)
-    answer(as_json, lambda: figures, lambda: survey_text(figures))
+    say = catalogue(spoken(language))
+    answer(as_json, lambda: figures, lambda: survey_text(figures, say))
 
 
 def localise(

@@ -11,6 +11,7 @@ from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.files import write_rows
 from photocal.base.geodesy import geodetic
 from photocal.base.policy import policy
+from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.ground_scale import combined_factor, has_scale
 from photocal.navigation.baseline_network import NetworkSolution
 from photocal.navigation.exposure_files import in_frame
@@ -100,77 +101,84 @@ def write_points(path: Path, solution: NetworkSolution, crs: str | None) -> dict
     return frame
 
 
-def survey_text(figures: dict[str, Any]) -> str:
-    """Return the summary in words."""
-    lines = [f"{len(figures['marks'])} marks, {len(figures['sessions'])} sessions"]
+def survey_text(figures: dict[str, Any], say: Catalogue | None = None) -> str:
+    """Return the summary in words, in English when no language is given."""
+    say = say or catalogue("en")
+    lines = [say("surveyed.head", marks=len(figures["marks"]), sessions=len(figures["sessions"]))]
     for s in figures["sessions"]:
-        short = _missing(s)
-        way = f": {s['start']} to {s['end']}, {s['length_m']:.3f} m" if s["start"] else ""
-        lines.append(f"{s['name']}{way}, {s['status']}, {s['minutes']:.1f} min{short}")
-    lines += map(_frame_text, figures["frames"])
-    named = {s["name"]: s for s in figures["sessions"]}
-    for b in figures["blunders"]:
-        heights = named.get(b["name"], {})
-        advice = (
-            f"; check its antenna heights (base {heights['base_antenna_m']:.3f} m, "
-            f"rover {heights['rover_antenna_m']:.3f} m)"
-            if b["component"] == "height" and heights
-            else "; check which marks were occupied and the times"
+        ends = (
+            {"start": s["start"], "end": s["end"], "length": say.fixed(s["length_m"], 3)}
+            if s["start"]
+            else None
         )
-        lines.append(
-            f"left out: {b['name']} ({b['start']} to {b['end']}), {b['component']} wrong by "
-            f"{b['size_m']:+.3f} m (sigma {b['size_sigma_m']:.3f} m), test {b['test']:.1f}{advice}"
-        )
+        way = "" if ends is None else say("surveyed.way", **ends)
+        told = {"name": s["name"], "status": s["status"], "minutes": say.fixed(s["minutes"], 1)}
+        lines.append(say("surveyed.session", way=way, short=_missing(s, say), **told))
+    lines += [_frame_text(frame, say) for frame in figures["frames"]]
+    lines += [_blunder_text(b, figures["sessions"], say) for b in figures["blunders"]]
     for mark in figures["marks"]:
-        sigma = " ".join(f"{1e3 * v:.1f}" for v in mark["sigma_enu_m"])
-        major, minor = (1e3 * v for v in mark["ellipse_95_m"])
         lines.append(
-            f"{mark['name']}: sigma E N U {sigma} mm, ellipse (95 %) {major:.1f} x {minor:.1f} mm towards "
-            f"{mark['ellipse_azimuth_deg']:.0f} deg"
+            say(
+                "surveyed.mark",
+                name=mark["name"],
+                sigma=" ".join(say.fixed(1e3 * v, 1) for v in mark["sigma_enu_m"]),
+                major=say.fixed(1e3 * mark["ellipse_95_m"][0], 1),
+                minor=say.fixed(1e3 * mark["ellipse_95_m"][1], 1),
+                azimuth=say.fixed(mark["ellipse_azimuth_deg"], 0),
+            )
         )
     factor = figures.get("points_csv", {}).get("combined_factor")
     if factor is not None:
-        lines.append(
-            f"combined factor {factor:.8f}: a distance on the ground is {1e6 * (factor - 1):+.0f} ppm longer "
-            f"in {figures['points_csv']['frame']}"
-        )
-    lines.append(f"redundancy {figures['degrees_of_freedom']}")
-    lines += _reliability_text(figures)
-    test = figures["global_test"]
+        frame, ppm = figures["points_csv"]["frame"], f"{1e6 * (factor - 1):+.0f}"
+        lines.append(say("surveyed.factor", factor=say.fixed(factor, 8), ppm=ppm, frame=frame))
+    lines.append(say("surveyed.redundancy", n=figures["degrees_of_freedom"]))
+    lines += _reliability_text(figures, say)
+    test, factor = figures["global_test"], figures["sigma0_squared"]
     if test is None:
-        lines.append("no redundancy: nothing checks these baselines")
+        lines.append(say("surveyed.unchecked"))
     elif not test["accepted"]:
-        lines.append(
-            f"global test failed: variance factor {figures['sigma0_squared']:.2f}; the baselines' sigmas are "
-            f"{'too small' if figures['sigma0_squared'] > 1 else 'too large'}"
-        )
+        how = say("surveyed.too_small" if factor > 1 else "surveyed.too_large")
+        lines.append(say("surveyed.failed", factor=say.fixed(factor, 2), how=how))
     return "\n".join(lines)
 
 
-def _missing(session: dict[str, Any]) -> str:
+def _blunder_text(b: dict[str, Any], sessions: list[dict[str, Any]], say: Catalogue) -> str:
+    """Return which baseline was left out, and what to look for."""
+    heights = {s["name"]: s for s in sessions}.get(b["name"], {})
+    advice = say("surveyed.times")
+    if b["component"] == "height" and heights:
+        antennas = {role: say.fixed(heights[f"{role}_antenna_m"], 3) for role in ("base", "rover")}
+        advice = say("surveyed.heights", **antennas)
+    figures = {"size": f"{b['size_m']:+.3f}", "sigma": f"{b['size_sigma_m']:.3f}", "test": f"{b['test']:.1f}"}
+    return say(
+        "surveyed.left_out",
+        **{key: b[key] for key in ("name", "start", "end")},
+        **{key: figure.replace(".", say.mark) for key, figure in figures.items()},
+        component=say(f"surveyed.{b['component']}"),
+        advice=advice,
+    )
+
+
+def _missing(session: dict[str, Any], say: Catalogue) -> str:
     """Return what a session lacks of what is asked of it."""
     if session["required_minutes"] is None:
-        return ", longer than the lengths in [[required]]: the time is not judged"
-    short = (
-        "" if session["long_enough"] else f", SHORTER than the required {session['required_minutes']:g} min"
-    )
-    return short + ("" if session["enough_frequencies"] else ", ONE FREQUENCY where two are required")
+        return say("surveyed.unjudged")
+    minutes = say.as_given(session["required_minutes"])
+    short = "" if session["long_enough"] else say("surveyed.short", minutes=minutes)
+    return short + ("" if session["enough_frequencies"] else say("surveyed.one_frequency"))
 
 
-def _frame_text(frame: dict[str, Any]) -> str:
+def _frame_text(frame: dict[str, Any], say: Catalogue) -> str:
+    told = {"mark": frame["mark"], "before": frame["from"], "after": frame["to"]}
     if "shift_enu_m" not in frame:
-        return (
-            f"WARNING {frame['mark']} refers to {frame['from']}, the survey to {frame['to']}: no "
-            "transformation between them is known, it was not moved"
-        )
-    east, north, up = frame["shift_enu_m"]
-    return (
-        f"{frame['mark']}: moved from {frame['from']} to {frame['to']} by E {east:+.3f}, N {north:+.3f}, "
-        f"U {up:+.3f} m, sigma {frame['sigma_m']:.3f} m ({frame['way']})"
-    )
+        return say("surveyed.not_moved", **told)
+    shifts = (f"{v:+.3f}".replace(".", say.mark) for v in frame["shift_enu_m"])
+    shift = dict(zip(("east", "north", "up"), shifts, strict=True))
+    sigma = say.fixed(frame["sigma_m"], 3)
+    return say("surveyed.moved", way=frame["way"], sigma=sigma, **told, **shift)
 
 
-def _reliability_text(figures: dict[str, Any]) -> list[str]:
+def _reliability_text(figures: dict[str, Any], say: Catalogue) -> list[str]:
     """Return the undetected error that would move a mark most."""
     moves = [
         (float(np.linalg.norm(shift)), mark, b["name"], effect["error_of"])
@@ -181,5 +189,5 @@ def _reliability_text(figures: dict[str, Any]) -> list[str]:
     if not moves:
         return []
     size, mark, baseline, component = max(moves)
-    where = f"{component} of {baseline}"
-    return [f"the largest error that the tests may miss, in {where}, moves {mark} by {1e3 * size:.0f} mm"]
+    told = {"mark": mark, "baseline": baseline, "component": say(f"surveyed.{component}")}
+    return [say("surveyed.worst", size=say.fixed(1e3 * size, 0), **told)]

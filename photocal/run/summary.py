@@ -349,43 +349,40 @@ def _predicted(points: list[dict[str, Any]]) -> dict[str, float | None]:
 def summary_text(figures: dict[str, Any], say: Catalogue | None = None, *, details: bool = False) -> str:
     """Write a summary for people.
 
-    say: language of findings and verdict, English when none is given.
+    say: its language, English when none is given.
     details: all warnings and notes in full, beside the verdict.
     """
     say = say or catalogue("en")
     kept = sum(stage["kept"] for stage in figures["stages"])
     seconds = sum(stage["seconds"] for stage in figures["stages"] if not stage["kept"])
     made = len(figures["stages"]) - kept
-    lines = [f"{figures['project']}: {made} stages made in {seconds:.1f} s, {kept} kept; {figures['work']}"]
+    head = {"project": figures["project"], "made": made, "kept": kept, "work": figures["work"]}
+    lines = [say("ran.head", seconds=say.fixed(seconds, 1), **head)]
     if figures["control"] is not None:
         points, marks = figures["control"]["points"], figures["control"]["marks"]
-        rest = f"{marks['used']} of {marks['read']} marks can be used"
-        lines.append(
-            _line("control", f"{points['control']} control and {points['check']} check points, {rest}")
-        )
+        lines.append(_line(say("ran.control"), say("ran.control_text", **points, **marks)))
     if figures["ppk"] is not None:
         p = figures["ppk"]
-        rest = f"{p['float']} float, {p['single']} single"
-        lines.append(_line("PPK", f"{p['fixed_percent']:.1f} % of {p['epochs']} epochs fixed, {rest}"))
+        fixed = say.fixed(p["fixed_percent"], 1)
+        lines.append(_line(say("ran.ppk"), say("ran.ppk_text", **{**p, "fixed": fixed})))
     if figures["exposures"] is not None:
         e = figures["exposures"]
-        rest = (
-            f"{e['placed']} of {e['events']} events with position, {e['events_without_image']} without image"
-        )
-        lines.append(_line("exposures", f"{e['matched']} of {e['images']} images matched; {rest}"))
+        text = say("ran.exposures_text", without=e["events_without_image"], **e)
+        lines.append(_line(say("ran.exposures"), text))
     if figures["calibration"] is not None:
-        lines += _calibration_lines(figures["calibration"])
+        lines += _calibration_lines(figures["calibration"], say)
     if figures["check_points"] is not None:
-        lines += _check_lines(figures["check_points"])
+        lines += _check_lines(figures["check_points"], say)
     if figures["classes"]:
         lines += [
-            _line("class" if k == 0 else "", text) for k, text in enumerate(_class_texts(figures["classes"]))
+            _line(say("ran.class") if k == 0 else "", text)
+            for k, text in enumerate(_class_texts(figures["classes"], say))
         ]
     # Before the block is adjusted there is no verdict, and whatever was found stands for itself.
     if details or figures["verdict"] is None:
         lines += _warning_lines(figures["warnings"], figures["verdict"], say)
     if figures["certificate"] is not None:
-        lines.append(_line("certificate", figures["certificate"]))
+        lines.append(_line(say("ran.certificate"), figures["certificate"]))
     # Whoever reads one paragraph reads the last.
     if figures["verdict"] is not None:
         notes = sum(warning["kind"] == "note" for warning in figures["warnings"])
@@ -409,10 +406,11 @@ def _line(word: str, text: str) -> str:
     return f"{word:<{word_width}}{text}"
 
 
-def _calibration_lines(figures: dict[str, Any]) -> Iterator[str]:
+def _calibration_lines(figures: dict[str, Any], say: Catalogue) -> Iterator[str]:
     factor = figures["sigma0_squared"]
-    shown = "" if factor is None else f", residuals {math.sqrt(factor):.3f} times the stated sigmas"
-    yield _line("adjustment", f"{figures['images']} images, {figures['observations']} observations{shown}")
+    shown = "" if factor is None else say("ran.residuals", factor=say.fixed(math.sqrt(factor), 3))
+    counts = {key: figures[key] for key in ("images", "observations")}
+    yield _line(say("ran.adjustment"), say("ran.adjustment_text", shown=shown, **counts))
     for name, camera in figures["cameras"].items():
         values = camera["parameters"]
         texts = [
@@ -422,48 +420,50 @@ def _calibration_lines(figures: dict[str, Any]) -> Iterator[str]:
         ]
         if texts:
             several = f"{name}: " if len(figures["cameras"]) > 1 else ""
-            yield _line("camera", f"{several}{', '.join(texts)} {camera['unit']}")
+            yield _line(say("ran.camera"), f"{several}{', '.join(texts)} {camera['unit']}")
     mounting = figures["mounting"]
     if mounting is None:
         return
-    for word, names, unit in (("lever arm", _LEVER, "m"), ("boresight", _BORESIGHT, "deg")):
+    for word, names, unit in (("lever_arm", _LEVER, "m"), ("boresight", _BORESIGHT, "deg")):
         values = [mounting[key] for key in names]
         if any(value["estimated"] for value in values):
             yield _line(
-                word, ", ".join(with_sigma(value["value"], value["sigma"]) for value in values) + f" {unit}"
+                say(f"ran.{word}"),
+                ", ".join(with_sigma(value["value"], value["sigma"]) for value in values) + f" {unit}",
             )
     offset = mounting["time_offset"]
     if offset["estimated"]:
-        yield _line("time offset", f"{with_sigma(offset['value'] * 1e3, offset['sigma'] * 1e3)} ms")
+        yield _line(say("ran.time_offset"), f"{with_sigma(offset['value'] * 1e3, offset['sigma'] * 1e3)} ms")
 
 
-def _check_lines(methods: dict[str, Any]) -> Iterator[str]:
+def _check_lines(methods: dict[str, Any], say: Catalogue) -> Iterator[str]:
     if any(check["n"] for check in methods.values()):
-        yield _line("check points", "RMSE in X, Y, Z / predicted with the survey's own sigma, mm")
+        yield _line(say("ran.check_points"), say("ran.check_text"))
     for name, check in methods.items():
         if check["n"]:
             cells = ", ".join(
                 f"{1e3 * check['rmse_m'][axis]:.0f}/{1e3 * check['predicted_m'][axis]:.0f}" for axis in "XYZ"
             )
             ratio = check["errors_over_prediction"]
-            over = "" if ratio is None else f"; errors {ratio:.2f} times the prediction"
-            yield _line(f"  {name}", f"{cells} at {check['n']} points{over}")
+            over = "" if ratio is None else say("ran.over", ratio=say.fixed(ratio, 2))
+            row = say("ran.check_row", cells=cells, n=check["n"], over=over)
+            yield _line(f"  {say(f'shown.{name}')}", row)
 
 
-def _class_texts(standards: list[dict[str, Any]]) -> Iterator[str]:
+def _class_texts(standards: list[dict[str, Any]], say: Catalogue) -> Iterator[str]:
     for standard in standards:
         if "product" in standard:
             if standard["size"] is None:
                 continue
             size = f"1:{standard['size']:g}" if standard["basis"] == "scale" else f"{standard['size']:g} m"
-            accuracy, precision = (standard[f"{kind}_class"] or "none" for kind in ("accuracy", "precision"))
+            kinds = ("accuracy", "precision")
+            reached = {kind: standard[f"{kind}_class"] or say("shown.none") for kind in kinds}
             name = f"{standard['standard']} {standard['product']} {size}"
-            yield f"{name}: accuracy {accuracy}, precision {precision}"
+            yield say("ran.class_text", name=name, **reached)
         elif standard["horizontal"] is not None and standard["vertical"] is not None:
-            yield (
-                f"{standard['standard']}: horizontal {standard['horizontal']['class_cm']} cm, "
-                f"vertical {standard['vertical']['class_cm']} cm ({standard['condition']})"
-            )
+            reached = {axis: standard[axis]["class_cm"] for axis in ("horizontal", "vertical")}
+            condition = standard["condition"]
+            yield say("ran.class_value", name=standard["standard"], condition=condition, **reached)
 
 
 def _warning_lines(
@@ -474,6 +474,7 @@ def _warning_lines(
         texts = [f"{one.code}: {finding_text(one, say, plain)}" for one in findings_of(of_group, SCHEMA)]
         if not texts and group == "warning":
             # Nothing is called clean while the verdict is not.
-            texts = ["none"] if final is None or final["severity"] == "passed" else ["see the verdict"]
+            clean = final is None or final["severity"] == "passed"
+            texts = [say("ran.clean" if clean else "ran.see_verdict")]
         for k, text in enumerate(texts):
-            yield _line(f"{group}s" if k == 0 else "", text)
+            yield _line(say(f"ran.{group}s") if k == 0 else "", text)

@@ -16,7 +16,7 @@ from photocal.desk.standing import application
 from photocal.project import read_project
 from photocal.run.campaign import run_project
 from photocal.run.new_project import new_project
-from tests.docs.shown import GUIDE, stamp
+from tests.docs.shown import GUIDE
 from tests.photocal.run.typed_site import site_folder
 
 ROOT = Path(__file__).parents[2]
@@ -86,7 +86,6 @@ def main() -> None:
             page.wait_for_timeout(_SETTLES_MS)
             page.evaluate(_WITHOUT_PLACE, str(ROOT))
             page.screenshot(path=GUIDE / f"desk-{step}.png")
-            stamp(GUIDE / f"desk-{step}.png")
         browser.close()
 
 

@@ -19,8 +19,7 @@ _KEY = "shows"
 
 def sources() -> dict[Path, Path]:
     """Return each picture with the folder of the page that it shows."""
-    desk = dict.fromkeys(sorted(GUIDE.glob("desk-*.png")), ROOT / "photocal" / "desk" / "page")
-    return {MONITOR: ROOT / "acquire" / "monitor", **desk}
+    return {MONITOR: ROOT / "acquire" / "monitor"}
 
 
 def fingerprint(folder: Path) -> str:

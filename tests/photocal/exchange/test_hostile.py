@@ -331,7 +331,7 @@ def test_archive_whose_names_are_no_text(tmp_path: Path) -> None:
     content[7] |= 0x08
     content[30] = 0x92
     path.write_bytes(content)
-    with pytest.raises(InputMalformedError, match="no readable archive"):
+    with pytest.raises(InputMalformedError, match="not a readable archive"):
         read_foreign_block(path)
 
 
