@@ -18,7 +18,31 @@ function coarsest([width, height], tile) {
 export function tileSource(told, tile) {
   const [width, height] = told.size_px;
   const most = coarsest(told.size_px, tile);
-  return { width, height, tileSize: tile, tileOverlap: 0, minLevel: 0, maxLevel: most, getTileUrl: (level, column, row) => address(told.name, most - level, column, row) };
+  return { width, height, tileSize: tile, tileOverlap: 0, minLevel: 0, maxLevel: most, getTileUrl: (level, column, row) => address(told.name, most - level, column, row), downloadTileStart, downloadTileAbort };
+}
+
+// An <img> that nobody shows any more is kept decoded by the browser, up to half a gigabyte of them: tiles are
+// decoded here, and let go when the viewer lets them go.
+async function downloadTileStart(job) {
+  const stop = new AbortController();
+  job.userData.stop = stop;
+  try {
+    const answer = await fetch(job.src, { signal: stop.signal });
+    if (!answer.ok) throw new Error(`${answer.status}`);
+    const decoded = await createImageBitmap(await answer.blob());
+    const canvas = document.createElement("canvas");
+    [canvas.width, canvas.height] = [decoded.width, decoded.height];
+    const pen = canvas.getContext("2d", { willReadFrequently: true });
+    pen.drawImage(decoded, 0, 0);
+    decoded.close();
+    job.finish(pen, null, "context2d");
+  } catch (failure) {
+    job.fail(failure.message, null);
+  }
+}
+
+function downloadTileAbort(job) {
+  job.userData.stop?.abort();
 }
 
 /** A small picture, loaded when it comes into sight. */
