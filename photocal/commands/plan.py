@@ -4,7 +4,13 @@ from pathlib import Path
 from typing import Annotated
 
 from photocal.base.console import AsJson, answer, argument, option, progress, spread
-from photocal.planning.options import FlightOptions, LimitOptions, MissionOptions, PrecisionOptions
+from photocal.planning.options import (
+    FlightOptions,
+    FlownOptions,
+    LimitOptions,
+    MissionOptions,
+    PrecisionOptions,
+)
 
 
 @spread
@@ -62,11 +68,11 @@ def plan_network(
     answer(as_json, made.figures, lambda: f"{made}{written}")
 
 
+@spread
 def flown(
     block: Annotated[Path, argument("Block folder, PROJECT.toml, or a set-up file of another program.")],
+    files: FlownOptions,
     run: Annotated[Path | None, option("Adjustment of the block; without: orientations as given.")] = None,
-    images: Annotated[Path | None, option("Folder of the image files, for exposure time and ISO.")] = None,
-    plan: Annotated[Path | None, option("plan.json of `photocal plan`, to compare with.")] = None,
     exposure_ms: Annotated[float | None, option("Exposure time, ms, if the images do not state it.")] = None,
     speed: Annotated[
         float | None, option("Speed over ground, m/s, if it cannot be derived from the block.")
@@ -79,7 +85,8 @@ def flown(
     """Measure a flown block: height, ground sampling, tilt, real overlaps, rays, gaps, motion blur.
 
     Overlap is the share of an image that the next one (forward) or the neighbouring strip (side) shows, over
-    the ground through the block's points.
+    the ground through the block's points. Laser distances of the pictures are held against the surface of the
+    tie points, or against a terrain model.
 
     Example: `photocal flown PROJECT.toml --images photos --plan plan/plan.json -o flown`
     """
@@ -93,5 +100,5 @@ def flown(
         project = read_project(block)
         block, run = project.output / "block", run or project.output / "calibration"
     exposure_s = nan if exposure_ms is None else exposure_ms / 1e3
-    figures = measure_flown(block, run, images, plan, exposure_s, nan if speed is None else speed, output)
+    figures = measure_flown(block, run, files, exposure_s, nan if speed is None else speed, output)
     answer(as_json, lambda: figures, lambda: flown_text(figures))

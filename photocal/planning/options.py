@@ -1,8 +1,9 @@
-"""Options of `photocal plan`."""
+"""Options of `photocal plan` and `photocal flown`."""
 
 import math
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from photocal.base.errors import ConfigurationError
@@ -140,3 +141,19 @@ class PrecisionOptions(Options):
         """Refuse a precision that cannot be."""
         if self.simulation and not (self.image_sigma_px > 0.0 and self.relief_m >= 0.0):
             raise ConfigurationError("image precision must be positive and relief not negative")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlownOptions(Options):
+    """What a flown block is compared with."""
+
+    images: Annotated[
+        Path | None, Option("Folder of the image files, for exposure time, ISO and laser distances.")
+    ] = None
+    plan: Annotated[Path | None, Option("plan.json of `photocal plan`, to compare with.")] = None
+    terrain: Annotated[
+        Path | None, Option("Terrain model (GeoTIFF) to check laser distances; without: tie points.")
+    ] = None
+    terrain_heights: Annotated[
+        str | None, Option("Heights of that model, ellipsoidal or orthometric, if the file does not say.")
+    ] = None

@@ -11,19 +11,25 @@ import numpy as np
 
 from photocal.accuracy.laser import LaserShots, check_laser, laser_finding
 from photocal.accuracy.maps import reference_system
+from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, InputMalformedError
 from photocal.base.geopackage import changed_utc
 from photocal.base.progress import Progress
+from photocal.block.model import Block
 from photocal.block.motion import lines_of_places, strips, velocity_of_neighbours
 from photocal.block.network import local_positions
 from photocal.findings.texts import as_record
+from photocal.geometry.frames import LocalFrame
 from photocal.georeferencing.strip_control import control_by_strip
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.planning.flown import figures_of, flown_block, ground_through
 from photocal.planning.flown_output import against_plan, write_flown
+from photocal.planning.options import FlownOptions
 from photocal.planning.position_map import position_differences, write_positions
 from photocal.products.oriented import oriented
+from photocal.products.ortho_job import heights_of, system_of
+from photocal.products.raster import describe, terrain_source
 from photocal.project import Project
 from photocal.report.derived_figures import NADIR_DEG
 from photocal.results.folder import read_result
@@ -40,8 +46,8 @@ def flown_stage(project: Project, block: Path, calibration: Path) -> Stage:
         """Make the files of the stage."""
         # Where too few points tell a ground, the adjustment says so.
         with show("flown block", None), suppress(IllPosedError):
-            pictures, planned = inputs.get("images"), inputs.get("plan")
-            measure_flown(block, calibration, pictures, planned, output=folder, only_nadir=True)
+            files = FlownOptions(images=inputs.get("images"), plan=inputs.get("plan"))
+            measure_flown(block, calibration, files, output=folder, only_nadir=True)
 
     return Stage("flown", "flown block", make, inputs, after=(block, calibration))
 
@@ -49,8 +55,7 @@ def flown_stage(project: Project, block: Path, calibration: Path) -> Stage:
 def measure_flown(
     block: Path,
     run: Path | None,
-    images: Path | None = None,
-    plan: Path | None = None,
+    files: FlownOptions | None = None,
     exposure_s: float = math.nan,
     speed_m_s: float = math.nan,
     output: Path | None = None,
@@ -64,6 +69,7 @@ def measure_flown(
         have no figures.
     raises IllPosedError: for fewer than three points.
     """
+    files = files or FlownOptions()
     model, frame, shots = oriented(block, run)
     time = model.images.time
     timed = bool(np.isfinite(time).all())
@@ -84,7 +90,7 @@ def measure_flown(
     # Neighbours without times tell a direction, no speed.
     moving = np.linalg.norm(way if timed else velocity, axis=1)
     moving = np.where(np.isfinite(moving), moving, speed_m_s)
-    read = each_picture(list_images(images), read_facts)[0] if images is not None else []
+    read = each_picture(list_images(files.images), read_facts)[0] if files.images is not None else []
     facts = {picture.name: picture for picture in read}
     stated = [(f.exposure_s, f.iso) if (f := facts.get(name)) else (np.nan, np.nan) for name in shots.names]
     exposure, iso = np.array(stated).T
@@ -96,7 +102,10 @@ def measure_flown(
     lasers = np.array([f.laser_m if (f := facts.get(name)) else np.nan for name in shots.names])
     if np.isfinite(lasers).any():
         shot = LaserShots(shots.station, -shots.rotation[:, 2], lasers)
-        checked = check_laser(shot, frame.to_local(points), _share_of_c(run))
+        near = frame.to_local(points)
+        if files.terrain is not None:
+            near = _of_terrain(shot, model, frame, files.terrain, files.terrain_heights)
+        checked = check_laser(shot, near, _share_of_c(run))
         found = laser_finding(checked, int(np.isfinite(lasers).sum()))
         figures |= as_record([found])
     figures["control_by_strip"] = control
@@ -112,7 +121,7 @@ def measure_flown(
         )
         if apart is not None:
             figures["positions"] = apart.figures()
-    if plan is not None:
+    if (plan := files.plan) is not None:
         try:
             figures = against_plan(figures, json.loads(plan.read_text(encoding="utf-8")))
         except (OSError, ValueError, KeyError, TypeError) as refusal:
@@ -126,6 +135,27 @@ def measure_flown(
         if apart is not None:
             write_positions(output, apart, frame.to_given, system, changed)
     return figures
+
+
+def _of_terrain(
+    shots: LaserShots, model: Block, frame: LocalFrame, path: Path, heights: str | None
+) -> Floats:
+    """Points of a terrain model about what the laser hit, in the frame of the shots.
+
+    raises ConfigurationError: when block and model differ in their systems or kinds of heights.
+    """
+    raster = describe(path)
+    kind = heights_of(raster, model, heights)
+    system_of(raster, model, None)
+    known = np.isfinite(shots.distance_m)
+    target = frame.to_given(shots.station[known] + shots.distance_m[known, None] * shots.direction[known])
+    # Nine points about each, m apart: closer than the surface may be to be one.
+    steps = np.array([(x, y, 0.0) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
+    about = (target[:, None] + steps).reshape(-1, 3)
+    (west, south), (east, north) = about[:, :2].min(axis=0), about[:, :2].max(axis=0)
+    ground = terrain_source(raster, kind)((west, south, east, north)).at(about[:, 0], about[:, 1])
+    on_it = np.isfinite(ground)
+    return frame.to_local(np.column_stack([about[:, :2], ground])[on_it])
 
 
 def _share_of_c(run: Path | None) -> float:

@@ -34,6 +34,7 @@ ANAFI and of Skydio are above the geoid EGM96; of others nothing is known, and `
 The laser rangefinder of a thermal or zoom camera is a check of heights, and no observation: `photocal new`
 lists its distances beside the flying height, and `photocal run` holds what the laser hit against the surface
 of the adjusted tie points there (`laser-heights`: bias with its sigma, scatter, change with the distance).
+`photocal flown --terrain DTM.tif` holds it against a terrain model instead.
 Shots through the gaps of a canopy are counted and left out.
 
 Thermal R-JPEG (H20T and its like) are measured by their preview, as any other picture: six of a Zenmuse H20T

@@ -15,6 +15,9 @@ import pytest
 from PIL import Image
 
 from photocal.base.progress import quiet
+from photocal.planning.options import FlownOptions
+from photocal.products.raster import write_terrain
+from photocal.products.terrain import Terrain
 from photocal.project import Project, read_project
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import issue
@@ -163,7 +166,14 @@ def test_laser_distances_of_the_pictures_are_a_check(tmp_path: Path, beside_m: f
         named = re.sub(r"^(s\d_\d+),", r"\1.jpg,", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
         path.write_text(named, encoding="utf-8")
     adjust_block(folder / "block", folder / "calibration")
-    figures = measure_flown(folder / "block", folder / "calibration", tmp_path)
+    figures = measure_flown(folder / "block", folder / "calibration", FlownOptions(images=tmp_path))
     (found,) = figures["findings"]
     assert (found["code"], found["severity"]) == ("laser-heights", severity)
     assert found["figures"]["bias_m"] == pytest.approx(beside_m, abs=0.15)
+    # A terrain model 1 m higher, in place of the tie points.
+    model = tmp_path / "terrain.tif"
+    write_terrain(Terrain(np.full((400, 400), 1.0), (10.0, 0, -2000.0, 0, -10.0, 2000.0), "", ""), model)
+    files = FlownOptions(images=tmp_path, terrain=model, terrain_heights="ellipsoidal")
+    (found,) = measure_flown(folder / "block", folder / "calibration", files)["findings"]
+    assert found["figures"]["bias_m"] == pytest.approx(beside_m + 1.0, abs=0.15)
+    assert found["severity"] == "doubtful"
