@@ -19,6 +19,7 @@ def ppk(
     *,
     receivers: ReceiverOptions,
     options: PpkOptions,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Compute the trajectory of a rover from raw observations of rover and base.
@@ -29,12 +30,14 @@ def ppk(
 
     Example: `photocal ppk FLIGHT.mcap -o ppk`
     """
+    from photocal.findings.texts import catalogue, spoken
     from photocal.navigation.ppk_report import ppk_text
     from photocal.navigation.steps import ppk as computed
 
     made = computed(flight or (), receivers=receivers, options=options)
     made.write(output)
-    answer(as_json, lambda: made.figures, lambda: ppk_text(made.figures))
+    say = catalogue(spoken(language))
+    answer(as_json, lambda: made.figures, lambda: ppk_text(made.figures, say))
 
 
 @spread

@@ -7,6 +7,7 @@ import numpy as np
 
 from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.geodesy import geodetic
+from photocal.findings.texts import Catalogue, catalogue
 from photocal.navigation.engine_output import (
     PER_METRE,
     SatelliteResiduals,
@@ -112,18 +113,19 @@ def day_of_year(time: GpsTime) -> float:
     return float((moment - moment.astype("datetime64[Y]")) / np.timedelta64(1, "D")) + 1
 
 
-def common_text(figures: dict[str, Any]) -> list[str]:
-    """Return what `CommonErrors.as_json` gave in words."""
-    shift = " ".join(f"{v:.3f}" for v in figures["shift_sigma_m"])
-    base = "" if figures["base_sigma_m"] else "; the base's own sigma was not stated"
+def common_text(figures: dict[str, Any], say: Catalogue | None = None) -> list[str]:
+    """Return what `CommonErrors.as_json` gave in words, in English when no language is given."""
+    say = say or catalogue("en")
     lasts = figures["correlation_time_s"]
-    lasting = "" if lasts is None else f", errors last {lasts:.0f} s"
-    lines = [f"common to all positions: sigma {shift} m (E N U){lasting}{base}"]
+    told = {
+        "sigma": " ".join(say.fixed(v, 3) for v in figures["shift_sigma_m"]),
+        "base": "" if figures["base_sigma_m"] else say("trajectory.base_unstated"),
+        "lasting": "" if lasts is None else say("trajectory.lasting", seconds=say.fixed(lasts, 0)),
+    }
+    lines = [say("trajectory.common", **told)]
     if figures["shift_by_zenith_delay"] is not None:
-        moved = 1e3 * figures["correction_per_metre"][2]
-        spread = 1e3 * figures["zenith_scale_sigma"]
-        lines.append(
-            f"air between base and rover ({figures['lapse']['source']}): {moved:+.2f} mm of height for each "
-            f"metre above the base, sigma {spread:.2f} mm"
-        )
+        height = f"{1e3 * figures['correction_per_metre'][2]:+.2f}".replace(".", say.mark)
+        sigma = say.fixed(1e3 * figures["zenith_scale_sigma"], 2)
+        source = figures["lapse"]["source"]
+        lines.append(say("trajectory.air", source=source, height=height, sigma=sigma))
     return lines

@@ -10,7 +10,7 @@ from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.files import output_picture, write_json
 from photocal.base.geodesy import geodetic
 from photocal.findings.finding import Finding
-from photocal.findings.texts import catalogue, finding_json
+from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, findings_of, plain
 from photocal.navigation.base_frame import BaseFrame
 from photocal.navigation.common_errors import common_text
 from photocal.navigation.engine import Rtklib
@@ -173,60 +173,72 @@ def _rms(values: Floats) -> Floats | None:
     return np.sqrt(np.mean(values**2, axis=0)) if len(values) else None
 
 
-def ppk_text(figures: dict[str, Any]) -> str:
-    """Return the summary in words."""
-    rover, base, options = figures["rover"], figures["base"], figures["options"]
-    method = f"{options['systems']} {options['frequencies']}, mask {options['elevation_deg']:g} deg"
-    place = "{lat_deg:.9f} {lon_deg:.9f} {height_m:.4f} m ellipsoidal".format(**base)
-    counts = f"{figures['fixed']} fixed ({figures['fixed_percent']:.1f} %), {figures['float']} float"
-    missing = figures["rover_epochs_without_position"]
-    lines = [
-        f"{figures['mode']} solution by {figures['engine']}, {method}",
-        f"rover {rover['from_gps']} to {rover['to_gps']} GPS time, {rover['epochs']} epochs",
-        f"base  {base['from_gps']} to {base['to_gps']} GPS time, {base['epochs']} epochs",
-        f"overlap {figures['overlap_s']:.0f} s, {base['gaps']} gaps of the base",
-        f"base position from {base['position_from']}: {place}",
-        f"  {base['off_code_solution_m']:.1f} m from its code solution",
-        f"{figures['epochs']} epochs: {counts}, {figures['single']} single",
-        f"{missing} rover epochs without a position",
+def ppk_text(figures: dict[str, Any], say: Catalogue | None = None) -> str:
+    """Return the summary in words, in English when no language is given."""
+    say = say or catalogue("en")
+    base, options = figures["base"], figures["options"]
+    method = {key: options[key] for key in ("systems", "frequencies")}
+    method |= {"mode": figures["mode"], "engine": figures["engine"]}
+    counts = {key: figures[key] for key in ("epochs", "fixed", "float", "single")}
+    lines = [say("trajectory.solution", elevation=say.as_given(options["elevation_deg"]), **method)]
+    for role in ("rover", "base"):
+        one = figures[role]
+        ends = {"begins": one["from_gps"], "ends": one["to_gps"], "epochs": one["epochs"]}
+        lines.append(say(f"trajectory.{role}", **ends))
+    lines += [
+        say("trajectory.overlap", seconds=say.fixed(figures["overlap_s"], 0), gaps=base["gaps"]),
+        say("trajectory.base_position", source=base["position_from"], **_printed(base)),
+        say("trajectory.off_code", metres=say.fixed(base["off_code_solution_m"], 1)),
+        say("trajectory.epochs", percent=say.fixed(figures["fixed_percent"], 1), **counts),
+        say("trajectory.missing", n=figures["rover_epochs_without_position"]),
     ]
-    lines += [f"  gap of {g['seconds']:.0f} s from {g['from_gps']}" for g in base["longest_gaps"][:3]]
+    lines += [
+        say("trajectory.gap", seconds=say.fixed(gap["seconds"], 0), begins=gap["from_gps"])
+        for gap in base["longest_gaps"][:3]
+    ]
     if "validation" in figures:
-        lines += _validation_text(figures["validation"])
+        lines += _validation_text(figures["validation"], say)
     if "common" in figures:
-        lines += common_text(figures["common"])
+        lines += common_text(figures["common"], say)
     if "position" in figures:
-        lines.append("position {lat_deg:.9f} {lon_deg:.9f} {height_m:.4f} m".format(**figures["position"]))
-    warnings = [f"WARNING {finding['text']}" for finding in figures["findings"]]
+        lines.append(say("trajectory.position", **_printed(figures["position"])))
+    warnings = [
+        say("trajectory.warning", text=finding_text(one, say, plain))
+        for one in findings_of(figures["findings"], "ppk")
+    ]
     return "\n".join([*lines, *figures["remarks"], *warnings])
 
 
-def _validation_text(validation: dict[str, Any]) -> list[str]:
+def _printed(position: dict[str, Any]) -> dict[str, str]:
+    """Give a position as programs read it, with decimal points in every language."""
+    lat, lon, height = (position[key] for key in ("lat_deg", "lon_deg", "height_m"))
+    return {"lat": f"{lat:.9f}", "lon": f"{lon:.9f}", "height": f"{height:.4f}"}
+
+
+def _validation_text(validation: dict[str, Any], say: Catalogue) -> list[str]:
     # As many as a screen shows beside the summary.
     listed_places = 10
     demoted = {reason: count for reason, count in validation["demoted"].items() if count}
-    lines = [f"fixed by the engine {validation['fixed_by_the_engine']}, of these made float:"]
-    lines += [f"  {count} {reason}" for reason, count in demoted.items()] or ["  none"]
+    lines = [say("trajectory.fixed_by_engine", n=validation["fixed_by_the_engine"])]
+    reasons = [f"  {count} {say(f'trajectory.demoted.{reason}')}" for reason, count in demoted.items()]
+    lines += reasons or [say("trajectory.demoted_none")]
     if validation["combinations_replaced"]:
-        replaced = "replaced because the combination differed from both directions"
-        lines.append(f"{replaced}: {validation['combinations_replaced']}")
+        lines.append(say("trajectory.replaced", n=validation["combinations_replaced"]))
     if validation["median_ratio_of_fixes"] is not None:
-        lines.append(f"ratio of the fixes (median): {validation['median_ratio_of_fixes']:.1f}")
+        lines.append(say("trajectory.ratio", ratio=say.fixed(validation["median_ratio_of_fixes"], 1)))
     for kind, rms in validation["forward_minus_backward_rms_enu_m"].items():
         if rms is not None:
-            spread = " ".join(f"{v:.3f}" for v in rms)
-            lines.append(f"forward minus backward, {kind}: {spread} m rms (E N U)")
+            spread = " ".join(say.fixed(v, 3) for v in rms)
+            lines.append(say("trajectory.directions", kind=kind, spread=spread))
     places = validation["directions_apart"]
     for place in places[:listed_places]:
-        other = {"forward": "backward", "backward": "forward"}.get(place["taken"], "the other")
-        lines.append(
-            f"directions {place['largest_m']:.2f} m apart from {place['from_gps']} on, {place['epochs']} "
-            f"epochs: {place['taken']} was taken, {other} has no fix there"
-        )
+        taken = say(f"trajectory.{place['taken'].replace(' ', '_')}")
+        told = {"begins": place["from_gps"], "epochs": place["epochs"], "taken": taken}
+        lines.append(say("trajectory.apart", metres=say.fixed(place["largest_m"], 2), **told))
     if len(places) > listed_places:
-        lines.append(f"and {len(places) - listed_places} more places")
-    factors = ", ".join(f"{v:.0f}" for v in validation["float_sigma_factor_enu"])
-    lines.append(f"the engine's float sigmas are too small by {factors} (E, N, U)")
+        lines.append(say("trajectory.more_places", n=len(places) - listed_places))
+    factors = ", ".join(say.fixed(v, 0) for v in validation["float_sigma_factor_enu"])
+    lines.append(say("trajectory.float_factors", factors=factors))
     return lines
 
 

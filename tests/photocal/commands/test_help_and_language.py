@@ -121,3 +121,29 @@ def test_a_summary_is_said_in_both_languages(tmp_path: Path) -> None:
         for part in (*verdict_text(verdict, other), finding_text(FOUND, other, plain)):
             assert part not in text
     assert summary_text(figures, details=True) == summary_text(figures, ENGLISH, details=True)
+
+
+TABLE = (
+    "point,dE,dN,dh\na,0.031,-0.020,0.050\nb,-0.010,0.040,-0.030\nc,0.020,0.010,0.040\nd,0.001,-0.030,0.020\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("asked", "environment", "language"),
+    [([], "en_US.UTF-8", "en"), ([], "pt_BR.UTF-8", "pt-BR"), (["--lang", "pt-BR"], "C.UTF-8", "pt-BR")],
+)
+def test_check_prints_its_tables_in_the_language(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, asked: list[str], environment: str, language: str
+) -> None:
+    for name in ("LC_ALL", "LC_MESSAGES"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("LANG", environment)
+    (tmp_path / "d.csv").write_text(TABLE, encoding="utf-8")
+    printed = CliRunner().invoke(photocal_app, ["check", "--discrepancies", str(tmp_path / "d.csv"), *asked])
+    assert printed.exit_code == 0
+    say, other = (ENGLISH, PORTUGUESE) if language == "en" else (PORTUGUESE, ENGLISH)
+    for key in ("assessed.points", "assessed.statistics", "assessed.tests"):
+        assert say(key) in printed.stdout
+        assert other(key) not in printed.stdout
+    # Product minus reference, 0.031 m the other way round in the table.
+    assert f"-0{say.mark}031" in printed.stdout
