@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from photocal.debrief.verdict import CombinedCheck, Debrief, debrief_json
@@ -227,6 +228,23 @@ def test_sizes_of_marks_are_shown_in_the_pictures_and_chosen(window: Client, hom
     assert good(window.post("/api/new")).json["said"]["marks"] == "1"
     assert good(window.post("/api/new", {"marks": "1/2"})).json["said"]["marks"] == "1/2"
     assert (folder / "marks.csv").read_text() == converted
+
+
+def test_points_of_a_local_system_lie_on_the_map_to_be_made_check_points(
+    window: Client, home: Path, once: Once
+) -> None:
+    fresh(once, home / "local", "desk-half", change=resized(0.5))
+    good(window.post("/api/open", {"path": "local"}))
+    good(window.post("/api/new", {"crs": "local"}))
+    told = good(window.get("/api/places")).json
+    assert len(told["points"]) == 6
+    metres = np.array([point["xyz"][:2] for point in told["points"]])
+    # On the equator a degree of the map is 111 319.5 m.
+    drawn = 111319.5 * np.array([point["place_deg"] for point in told["points"]])
+    assert drawn - drawn[0] == pytest.approx(metres - metres[0], abs=1e-3)
+    name = told["points"][0]["name"]
+    changed = good(window.post("/api/role", {"point": name, "role": "check"})).json
+    assert {point["name"]: point["role"] for point in changed["points"]}[name] == "check"
 
 
 def test_systems_are_found_by_name_number_and_country(window: Client) -> None:

@@ -242,7 +242,12 @@ export async function mount(element, context) {
     const area = h("div.chart", { id: "chart", tabindex: 0, role: "application", "aria-label": say("folder.map") });
     const roles = async (point) => {
       const answer = await act(context.post("/api/role", { point: point.name, role: point.role === "check" ? "control" : "check" }));
-      if (answer) drawPlaces(answer);
+      if (!answer) return;
+      const rows = [...map.querySelectorAll(".points button")];
+      const here = rows.indexOf(document.activeElement);
+      drawPlaces(answer);
+      // Who goes by keys stays where they are.
+      if (here >= 0) map.querySelectorAll(".points button")[here]?.focus();
     };
     fill(
       map,
