@@ -12,8 +12,9 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
+from acquire.monitor.planned import planned_footprint, planned_line
 from acquire.monitor.state import RecordingState
-from acquire.monitor.view_model import MapLayer, layers, planned_footprint, planned_line, view_of
+from acquire.monitor.view_model import MapLayer, layers, view_of
 from photocal.base.web import packaged
 
 _SCRIPTS = ("figures", "alarms", "map", "monitor")
