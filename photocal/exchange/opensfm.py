@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from photocal.base.errors import InputMalformedError
 from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, Images, ObjectPoints
 from photocal.exchange.foreign_project import ForeignProject
-from photocal.exchange.parts import block, pixels
+from photocal.exchange.parts import block, pixels, utm_zone_of
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, to_pinhole, to_vision
 from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.rigs import of_opensfm
@@ -85,8 +85,6 @@ def read_shots(path: Path) -> ForeignProject:
     A feature has the rotation vector from the map's to camera axes, and as its translation the projection
     centre in the UTM zone that ODM has chosen (before 2021 and without positions in axes of its own).
     """
-    from photocal.exchange.pix4d_project import utm_zone_of
-
     features = structured(path, "a shots.geojson of ODM", lambda: list(read_json(path)["features"]))
 
     def made() -> tuple[tuple[str, ...], Any, Any, Any]:

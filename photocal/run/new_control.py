@@ -68,7 +68,7 @@ class NewControl:
 
 
 @dataclass(frozen=True)
-class Told:
+class StatedControl:
     """What a person has said of control beside its file: system, kind of heights, frame of the marks."""
 
     crs: str = ""
@@ -86,7 +86,7 @@ class Told:
 
 def settle(
     given: ControlFile | None,
-    told: Told,
+    told: StatedControl,
     facts: Sequence[ImageFacts],
     folder: Mapping[str, Path],
     *,
@@ -140,7 +140,7 @@ def _with_place(made: NewControl, given: ControlFile | None, placed: Sequence[Im
 def _with_marks(
     made: NewControl,
     given: ControlFile,
-    told: Told,
+    told: StatedControl,
     facts: Sequence[ImageFacts],
     folder: Mapping[str, Path],
 ) -> None:

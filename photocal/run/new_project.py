@@ -28,7 +28,7 @@ from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
 from photocal.run.camera_card import chosen_pictures
 from photocal.run.folder_survey import ASSUMED_M, ControlFile, FolderContents, survey
-from photocal.run.new_control import Told, settle
+from photocal.run.new_control import StatedControl, settle
 from photocal.run.renewed_project import answered_height, renewed, written_before
 
 PICTURES = "pictures.csv"
@@ -74,7 +74,7 @@ def new_project(
     raises OutputError: when one of the files is there already.
     """
     # Whoever has stated the kind of heights is not asked for it again.
-    told = Told(
+    told = StatedControl(
         crs, height or (answered_height(folder) if again else ""), parse_frame(marks) if marks else None
     )
     seen = survey(folder, written_before(folder) if again else ())
@@ -178,7 +178,7 @@ class _Text:
         facts: Sequence[ImageFacts],
         pictures: Path | None,
         given: ControlFile | None,
-        told: Told,
+        told: StatedControl,
         frame: HeadGroup | None = None,
     ) -> None:
         self.folder, self.seen, self.facts, self.pictures, self.given = folder, seen, facts, pictures, given
