@@ -114,6 +114,8 @@ def survey_text(figures: dict[str, Any], say: Catalogue | None = None) -> str:
         way = "" if ends is None else say("surveyed.way", **ends)
         told = {"name": s["name"], "status": s["status"], "minutes": say.fixed(s["minutes"], 1)}
         lines.append(say("surveyed.session", way=way, short=_missing(s, say), **told))
+    # No recorded orbits were to be had when this was made.
+    lines += [say("surveyed.untried")] * any(s["status"] == "precise point" for s in figures["sessions"])
     lines += [_frame_text(frame, say) for frame in figures["frames"]]
     lines += [_blunder_text(b, figures["sessions"], say) for b in figures["blunders"]]
     for mark in figures["marks"]:

@@ -11,7 +11,8 @@ import numpy as np
 from photocal.base.errors import InputNotFoundError, PhotocalError
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.table import read_under
-from photocal.exchange.parts import Mark, object_points
+from photocal.exchange.parts import Mark, PointEntry, object_points, require_unique
+from photocal.exchange.source import number, read_lines
 from photocal.geometry.camera import Camera
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES, require_names
@@ -277,6 +278,27 @@ def _table(path: Path, _: Sizes) -> ControlFile:
     return ControlFile(path, "EPSG:4326" if in_degrees(path) else "", points, assumed=not table.has("sX"))
 
 
+def _bare_table(path: Path, sizes: Sizes) -> ControlFile:
+    """Points without a head: name, east, north, height, as many programs export them."""
+    pictures = {called.casefold() for name in sizes for called in (name, Path(name).stem)}
+    # Coordinates of a cloud, times of a track.
+    entries, no_name = list[PointEntry](), re.compile(r"[-+]?\d*[.,]\d+|\d+:.*")
+    for line in read_lines(path):
+        between = next((mark for mark in "\t;," if line.text.count(mark) >= 3), None)
+        name, *cells = (cell.strip().strip('"') for cell in line.text.split(between))
+        taken = name.casefold() in pictures or Path(name).suffix.lower() in SUFFIXES
+        if len(cells) < 3 or taken or no_name.fullmatch(name):
+            raise line.malformed("has no name, east, north and height of a point")
+        if between != ",":
+            cells = [cell.replace(",", ".") for cell in cells]
+        xyz = [number(cell, line.place, "coordinate") for cell in cells[:3]]
+        entries.append(PointEntry(name, "control", xyz, (ASSUMED_M[0], *ASSUMED_M)))
+    if not entries:
+        raise InputNotFoundError("has no points", where=path)
+    require_unique([entry.name for entry in entries], "point", path)
+    return ControlFile(path, "", object_points(entries), assumed=True)
+
+
 def _marks(path: Path, sizes: Sizes) -> ControlFile:
     return ControlFile(path, marks=read_any_marks(path, sizes))
 
@@ -285,6 +307,6 @@ _READERS: dict[str, tuple[Callable[[Path, Sizes], ControlFile], ...]] = {
     ".xml": (_one_file, _micmac, _other_program),
     ".json": (_one_file,),
     ".psz": (_other_program,),
-    ".csv": (_table, _marks),
-    ".txt": (_typed_list, _table, _marks),
+    ".csv": (_table, _bare_table, _marks),
+    ".txt": (_typed_list, _table, _bare_table, _marks),
 }

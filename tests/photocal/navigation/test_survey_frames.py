@@ -7,9 +7,11 @@ import pytest
 
 from photocal.base.errors import PhotocalError
 from photocal.base.geodesy import geocentric
+from photocal.findings.texts import catalogue
 from photocal.geometry.realizations import realization
 from photocal.navigation.baseline_network import GroundMark
 from photocal.navigation.survey import frame_of_orbits, frame_told, in_system
+from photocal.navigation.survey_report import survey_text
 
 MARK = GroundMark("M1", geocentric(-25.45, -49.23, 925.8), np.zeros((3, 3)))
 # First line of a file of precise orbits as the standard has it (SP3-d, Hilla 2016, page 2).
@@ -47,3 +49,17 @@ def test_orbits_tell_their_frame(tmp_path: Path) -> None:
     path.write_text(SP3)
     (tmp_path / "clocks.clk").write_text("     3.00           C  RINEX VERSION / TYPE\n")
     assert frame_of_orbits((tmp_path / "clocks.clk", path)) == realization("IGS14")
+
+
+@pytest.mark.parametrize(("status", "told"), [("precise point", True), ("fixed", False)])
+def test_orbits_that_were_never_tried_with_real_ones_are_told(status: str, told: bool) -> None:
+    session = {
+        "name": "A", "start": "", "end": "P", "length_m": 0.0, "status": status, "minutes": 60.0,
+        "required_minutes": None,
+    }  # fmt: skip
+    figures = {
+        "sessions": [session], "marks": [], "frames": [], "blunders": [], "baselines": [],
+        "degrees_of_freedom": 0, "global_test": None, "sigma0_squared": None,
+    }  # fmt: skip
+    for language, word in (("en", "no real ones"), ("pt-BR", "simuladas")):
+        assert (word in survey_text(figures, catalogue(language))) == told

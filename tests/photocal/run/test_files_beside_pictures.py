@@ -172,3 +172,45 @@ def test_lenses_of_one_gimbal_are_no_rig_where_the_card_was_copied_flat(tmp_path
     assert "[[head]]" not in text
     assert 'folder = "DJI_20260518101200_*_W.JPG"' in text
     assert any(line.startswith("lens T (thermal): 4 pictures") for line in made.known)
+
+
+@pytest.mark.parametrize(("between", "comma"), [(",", False), (";", True), ("\t", False), (" ", False)])
+@pytest.mark.parametrize("name", ["control.csv", "points.txt"])
+def test_points_without_a_head_are_control(tmp_path: Path, name: str, between: str, comma: bool) -> None:
+    """Name, east, north, height: what other programs export, and no table of marks."""
+    folder = folder_of(tmp_path, "", utm)
+    (folder / "gcp_list.txt").unlink()
+    rows = [
+        between.join([f"GCP{k}", *(f"{value:.3f}" for value in utm(place))]) for k, place in enumerate(POINTS)
+    ]
+    (folder / name).write_text("\n".join(rows).replace(".", "," if comma else "."))
+    made = new_project(folder, height="ellipsoidal")
+    assert 'crs = "EPSG:32633"' in made.path.read_text()
+    assert any(line.startswith(f"control: 4 points of {name}") for line in made.known)
+    (table,) = (path for path in folder.glob("*control.csv") if "point,X,Y,Z" in path.read_text())
+    first = table.read_text().splitlines()[1].split(",")
+    assert first[0] == "GCP0"
+    assert [float(cell) for cell in first[1:4]] == pytest.approx(utm(POINTS[0]), abs=0.002)
+
+
+def test_marks_without_a_head_stay_marks(tmp_path: Path) -> None:
+    """Pix4D's table of marks: image, point, x, y; the points have numbers."""
+    folder = folder_of(tmp_path, "", utm)
+    (folder / "gcp_list.txt").unlink()
+    (folder / "control.csv").write_text(
+        "\n".join(f"{k},{','.join(map(str, utm(p)))}" for k, p in enumerate(POINTS))
+    )
+    (folder / "marks.txt").write_text(
+        "\n".join(f"MAX_{n:04d}.JPG,{k},20,10" for k in range(4) for n in (0, 1))
+    )
+    made = new_project(folder, height="ellipsoidal")
+    assert any(line == "control: 4 points of control.csv, 8 marks in 2 images" for line in made.known)
+
+
+@pytest.mark.parametrize("name", ["DJI_0001.JPG", "677000.25", "12:01:02"])
+def test_places_of_pictures_clouds_and_tracks_are_no_control(tmp_path: Path, name: str) -> None:
+    folder = folder_of(tmp_path, "", utm)
+    (folder / "gcp_list.txt").unlink()
+    (folder / "places.txt").write_text(f"{name},677001.5,5277001.5,463.5\n")
+    new_project(folder, height="ellipsoidal")
+    assert not (folder / "control.csv").exists()
