@@ -138,6 +138,9 @@ def from_plain(kind: Any, value: Any, place: str = "", null: float | None = math
     raises ValueError: names the place of what does not fit.
     """
     origin, parts = get_origin(kind), get_args(kind)
+    if hasattr(origin, "__value__"):
+        # An alias with parameters, as NDArray is from numpy 2.5 on: read what it stands for.
+        return from_plain(origin.__value__[parts], value, place, null)
     try:
         if origin is Literal and value in parts:
             return value
