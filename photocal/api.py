@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from photocal.accuracy.assessment import Assessment
     from photocal.accuracy.discrepancies import Discrepancies
     from photocal.accuracy.options import JudgementOptions
-    from photocal.analysis.components import Proposal
-    from photocal.analysis.estimates import FTest
+    from photocal.analysis.estimates import FTest, Proposal
     from photocal.analysis.outcome import Outcome
     from photocal.analysis.stability.compared import Compared
     from photocal.base.errors import (
@@ -66,8 +65,7 @@ _ELSEWHERE = {
     "photocal.accuracy.assessment": ("Assessment",),
     "photocal.accuracy.discrepancies": ("Discrepancies",),
     "photocal.accuracy.options": ("JudgementOptions",),
-    "photocal.analysis.components": ("Proposal",),
-    "photocal.analysis.estimates": ("FTest",),
+    "photocal.analysis.estimates": ("FTest", "Proposal"),
     "photocal.analysis.outcome": ("Outcome",),
     "photocal.analysis.stability.compared": ("Compared",),
     "photocal.base.errors": (
@@ -612,6 +610,6 @@ def read_log(path: str | Path, topics: Sequence[str] = ()) -> dict[str, dict[str
     >>> len(fixes["altitude"]) == len(fixes["log_ns"])
     True
     """
-    from acquire.log.arrays import arrays_of_log
+    from acquire.log.reader import arrays_of_log
 
     return arrays_of_log(Path(path), frozenset(topics))

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from photocal.accuracy.assessment import Assessment
     from photocal.accuracy.discrepancies import Discrepancies
     from photocal.accuracy.options import JudgementOptions
-    from photocal.analysis.components import Proposal
-    from photocal.analysis.estimates import Estimates, FTest
+    from photocal.analysis.estimates import Estimates, FTest, Proposal
     from photocal.analysis.outcome import Outcome
     from photocal.analysis.stability.compared import Compared
     from photocal.block.model import Block
@@ -140,7 +139,7 @@ def components(camera: Camera) -> Proposal:
     >>> set(proposal.kept) | set(proposal.removed) == set(result.camera().free)
     True
     """
-    from photocal.analysis.components import propose_removal
+    from photocal.analysis.estimates import propose_removal
 
     return propose_removal(_estimates(camera))
 

@@ -18,7 +18,7 @@ from pydantic import (
 
 from photocal.base.checked_toml import Table, read_toml
 from photocal.base.errors import ConfigurationError, InputNotFoundError
-from photocal.base.names import one_line
+from photocal.base.files import one_line
 from photocal.block.camera_setup import CameraKeys, NonNegative, Sigma, make_camera
 from photocal.block.rig import HeadKeys
 from photocal.block.setup import BodyAxis, MountingKeys

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.log.records import Channel, Schema
+from acquire.log.chunk import Channel, Schema
 from drivers.frames import Batch
 from photocal.base.arrays import Integers
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from acquire.channels.decoded import TIME, Decoded, JsonLayout, Times, integer, number, words
 from acquire.log import foxglove
-from acquire.log.records import Channel
+from acquire.log.chunk import Channel
 from photocal.base.arrays import Columns, Floats, Integers
 
 _SOURCE = {

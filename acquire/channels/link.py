@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from acquire.channels.decoded import Decoder
-from acquire.log.records import ARRIVED_ENCODING, DAMAGE_ENCODING, Channel, Payloads, Pieces
+from acquire.log.chunk import ARRIVED_ENCODING, DAMAGE_ENCODING, Channel, Payloads, Pieces
 from drivers.frames import Batch, Wire
 from photocal.base.arrays import Integers
 

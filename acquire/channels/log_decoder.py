@@ -9,7 +9,7 @@ import numpy as np
 
 from acquire.channels.decoded import Decoded, Times, in_order
 from acquire.channels.layouts import ELLIPSOIDAL, PARAMETER, SourceMessages
-from acquire.channels.vehicle_messages import fix_names
+from acquire.channels.vehicle import fix_names
 from acquire.log import foxglove
 from drivers import mrk
 from drivers.dataflash import DataflashFormats, receiver_utc_ns

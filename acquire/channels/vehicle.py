@@ -1,18 +1,197 @@
-"""Channels decoded from MAVLink: position, attitude, GNSS, exposures, clock and health."""
+"""Channels decoded from MAVLink: position, attitude, GNSS, exposures, clock and health.
 
-from collections.abc import Iterable
-from dataclasses import replace
+What each MAVLink message becomes in the flight log.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.channels.decoded import Decoded, in_order
-from acquire.channels.vehicle_messages import COMMON_TOPICS, MAKERS, SentMessages
+from acquire.channels.decoded import Decoded, Times, in_order
+from acquire.channels.layouts import PARAMETER, SourceMessages
+from acquire.log import foxglove
 from drivers.frames import Batch, Wire
 from drivers.mavlink.decode import MavlinkMessages, decode
 from drivers.mavlink.dialect import Dialect
-from photocal.base.arrays import Integers
+from photocal.base.arrays import Floats, Integers
+
+# Receivers of the vehicle, as their topics tell them apart.
+_RECEIVERS = {"GPS_RAW_INT": "", "GPS2_RAW": "-2"}
+# Topics that all sources share, since each message names its own.
+COMMON_TOPICS = ("/camera/exposure", "/clock", "/health")
+_FIX_NAMES = ("none", "none", "2d", "3d", "differential", "rtk_float", "rtk_fixed", "3d", "3d")
+
+
+@dataclass(frozen=True)
+class SentMessages(SourceMessages):
+    """Messages of one kind from one source.
+
+    fields (n,): the fields, see `drivers.mavlink.decode.MavlinkMessages`.
+    log_ns (n,): time of receipt, UTC.
+    """
+
+    address: tuple[int, int]
+    fields: NDArray[Any]
+    log_ns: Integers
+
+    @property
+    def names(self) -> dict[str, Any]:
+        """Members of a JSON message that tell its source."""
+        system, component = (np.full(len(self), number) for number in self.address)
+        return {**super().names, "system": system, "component": component}
+
+    @property
+    def place(self) -> tuple[Floats, Floats, Floats]:
+        """Latitude, longitude (deg) and height (m)."""
+        return self.fields["lat"] * 1e-7, self.fields["lon"] * 1e-7, self.fields["alt"] * 1e-3
+
+
+def position(sent: SentMessages) -> Decoded:
+    """Make positions of the autopilot's own filter."""
+    return sent.location(f"/{sent.link}/position", sent.place)
+
+
+def attitude(sent: SentMessages) -> Decoded:
+    """Make the rotation from body to north-east-down."""
+    angles = (sent.fields[name].astype(float) for name in ("roll", "pitch", "yaw"))
+    return sent.attitude(foxglove.quaternion_from_euler(*angles))
+
+
+def gnss_fix(sent: SentMessages) -> Decoded:
+    """Make the positions of a receiver of the vehicle."""
+    fixed = sent.rows(sent.fields["fix_type"] >= 2)
+    claimed = _claimed(fixed.fields, "h_acc"), _claimed(fixed.fields, "v_acc")
+    return fixed.location(f"/gnss/{sent.link}{_RECEIVERS[sent.source]}/fix", fixed.place, claimed)
+
+
+def fix_names(types: Floats | Integers) -> list[str]:
+    """Return the names of types of fixes as MAVLink's GPS_RAW_INT and both logs number them; NaN is none."""
+    last = len(_FIX_NAMES) - 1
+    return [_FIX_NAMES[min(int(v), last)] if v == v else _FIX_NAMES[0] for v in types.tolist()]
+
+
+def gnss_status(sent: SentMessages) -> Decoded:
+    """Make the quality of the fixes of a receiver of the vehicle."""
+    f = sent.fields
+    columns: dict[str, Any] = {
+        "fix": fix_names(f["fix_type"]),
+        "satellites": np.where(f["satellites_visible"] == 255, -1, f["satellites_visible"].astype(int)),
+        "hdop": np.where(f["eph"] == 65535, np.nan, f["eph"] * 0.01),
+        "horizontal_m": _claimed(f, "h_acc"),
+        "vertical_m": _claimed(f, "v_acc"),
+    }
+    if "dgps_age" in (f.dtype.names or ()):
+        columns["correction_age_s"] = np.where(f["dgps_age"] > 0, f["dgps_age"] * 1e-3, np.nan)
+    return sent.status(_RECEIVERS[sent.source], columns)
+
+
+def camera_captured(sent: SentMessages) -> Decoded:
+    """Make the exposures that a MAVLink camera reported."""
+    f = sent.fields
+    utc = f["time_utc"].astype(np.int64)
+    time = Times(np.where(utc > 0, utc * 1000, sent.utc_ns))
+    place = dict(zip(("latitude_deg", "longitude_deg", "altitude_msl_m"), sent.place, strict=True))
+    return sent.exposure("feedback", {"sequence": f["image_index"], "time": time, **place})
+
+
+def system_time(sent: SentMessages) -> Decoded:
+    """Make the readings of the autopilot's clock."""
+    device = sent.fields["time_unix_usec"].astype(np.int64) * 1000
+    known = device > 0
+    return sent.clock(
+        {
+            "device": Times(np.where(known, device, -1)),
+            "host_minus_device_s": np.where(known, (sent.log_ns - device) / 1e9, np.nan),
+            "boot_s": sent.fields["time_boot_ms"] * 1e-3,
+        }
+    )
+
+
+def timesync(sent: SentMessages) -> Decoded:
+    """Make the duration of the comparisons of clocks that we began ourselves: they carry our own UTC."""
+    round_trip = sent.log_ns - sent.fields["ts1"]
+    answered = (sent.fields["tc1"] > 0) & (round_trip >= 0) & (round_trip < 10_000_000_000)
+    ours = sent.rows(answered)
+    return ours.clock({"boot_s": ours.fields["tc1"] / 1e9, "round_trip_ns": round_trip[answered]})
+
+
+def parameter(sent: SentMessages) -> Decoded:
+    """Make the autopilot's parameters."""
+    sent_value = sent.fields["param_value"]
+    # MAV_PARAM_TYPE: what is before are whole numbers.
+    first_real_type = 9
+    whole = sent.fields["param_type"] < first_real_type
+    # ArduPilot sends whole numbers as such, PX4 their bytes, which as a real number are next to nothing.
+    with np.errstate(invalid="ignore"):
+        bytewise = whole & (sent_value != 0) & ~(np.abs(sent_value) >= 1)
+    value = np.where(bytewise, sent_value.view("<i4").astype(float), sent_value.astype(float))
+    columns = {"name": sent.fields["param_id"], "value": value}
+    return sent.json(f"/{sent.link}/parameter", PARAMETER, columns)
+
+
+def state(sent: SentMessages) -> Decoded:
+    """Make the exposures, texts and states of battery, links and radio whose members are all like theirs."""
+    columns = {}
+    for name, (field, unit, unknown) in _MEMBERS[sent.source].items():
+        given = sent.fields[field]
+        values = given if unit is None else given * unit
+        columns[name] = values if unknown is None else np.where(given == unknown, np.nan, values)
+    edge = _EDGES.get(sent.source)
+    return sent.exposure(edge, columns) if edge else sent.health(columns)
+
+
+# Of a message the members of ours, each with the field that it is made of, its unit (None: as it is), and the
+# number that means that it is not known.
+_MEMBERS: dict[str, dict[str, tuple[str, float | None, int | None]]] = {
+    # The camera's hot shoe or the autopilot's own count reported an exposure.
+    "CAMERA_FEEDBACK": {
+        "sequence": ("img_idx", None, None),
+        "latitude_deg": ("lat", 1e-7, None),
+        "longitude_deg": ("lng", 1e-7, None),
+        "altitude_msl_m": ("alt_msl", None, None),
+        "roll_deg": ("roll", None, None),
+        "pitch_deg": ("pitch", None, None),
+        "yaw_deg": ("yaw", None, None),
+    },
+    "CAMERA_TRIGGER": {"sequence": ("seq", None, None)},
+    "SYS_STATUS": {
+        "voltage_v": ("voltage_battery", 1e-3, 65535),
+        "current_a": ("current_battery", 1e-2, -1),
+        "battery_percent": ("battery_remaining", None, None),
+        "load_percent": ("load", 0.1, None),
+        "drop_rate_percent": ("drop_rate_comm", 0.01, None),
+    },
+    "RADIO_STATUS": {
+        "rssi": ("rssi", None, None),
+        "remote_rssi": ("remrssi", None, None),
+        "noise": ("noise", None, None),
+        "remote_noise": ("remnoise", None, None),
+        "receive_errors": ("rxerrors", None, None),
+    },
+    "STATUSTEXT": {"severity": ("severity", None, None), "text": ("text", None, None)},
+}
+_EDGES = {"CAMERA_FEEDBACK": "feedback", "CAMERA_TRIGGER": "trigger"}
+MAKERS: dict[str, tuple[Callable[[SentMessages], Decoded], ...]] = {
+    "GPS_RAW_INT": (gnss_fix, gnss_status),
+    "GPS2_RAW": (gnss_fix, gnss_status),
+    "GLOBAL_POSITION_INT": (position,),
+    "ATTITUDE": (attitude,),
+    **dict.fromkeys(_MEMBERS, (state,)),
+    "CAMERA_IMAGE_CAPTURED": (camera_captured,),
+    "SYSTEM_TIME": (system_time,),
+    "TIMESYNC": (timesync,),
+    "PARAM_VALUE": (parameter,),
+}
+
+
+def _claimed(fields: NDArray[Any], name: str) -> Floats:
+    """Return an accuracy in metres; zero is what devices send that do not know it."""
+    value = fields[name].astype(float) * 1e-3
+    return np.where(value > 0, value, np.nan)
+
 
 # From 2000 on a time of an autopilot is taken for UTC, below for time since boot.
 EARLIEST_UTC_NS = 946_684_800 * 1_000_000_000

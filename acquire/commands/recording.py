@@ -113,7 +113,7 @@ def _last_words(stream: TextIO, text: str) -> None:
     """Print what is said at the end to whoever takes it: a terminal that takes nothing is not waited for."""
     # A pipe takes as much at once or not at all (POSIX: PIPE_BUF).
     piece_chars = 4096
-    from acquire.recording.outlet import Outlet
+    from acquire.recording.device_line import Outlet
     from acquire.recording.recorder import LAST_WORDS_S
 
     pieces = [text[at : at + piece_chars] for at in range(0, len(text), piece_chars)]

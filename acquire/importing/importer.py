@@ -1,19 +1,292 @@
-"""Import of recordings: bytes to frames to the flight log, link after link."""
+"""Import of recordings: bytes to frames to the flight log, link after link.
 
+What a recording of each format needs to be imported: where its times come from, and what decodes it.
+
+A recording of another program: what it is, told by its content, and its bytes.
+"""
+
+import gzip
+import hashlib
 import re
-from collections.abc import Callable, Sequence
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from acquire.channels.decoded import Decoder
 from acquire.channels.link import LinkLog, Tally
-from acquire.importing.recording import RecordedBytes, RecordingFormat, identify, open_recording
-from acquire.importing.timing import way_of
+from acquire.channels.log_decoder import (
+    BootTime,
+    DataflashDecoder,
+    EventListClock,
+    EventListDecoder,
+    UlogDecoder,
+    boot_time,
+)
+from acquire.channels.receiver import ReceiverClock, ReceiverDecoder
+from acquire.channels.vehicle import VehicleDecoder
 from acquire.log.writer import LogWriter
+from drivers.dataflash import DataflashFormats, DataflashFramer
+from drivers.frames import Batch, Framer, StreamFramer
 from drivers.mavlink.dialect import Dialect, ardupilotmega
-from photocal.base.errors import ConfigurationError
+from drivers.mrk import MrkFramer
+from drivers.protocols import receiver_protocols, receiver_wires
+from drivers.tlog import TlogFramer
+from drivers.ulog import UlogFormats, UlogFramer
+from photocal.base.arrays import Integers
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, reading
 from photocal.base.files import output_file
+from photocal.base.time_scales import expiry_warning
 from photocal.base.version import __version__
+
+PIECE_BYTES = 1 << 20
+_HEAD_BYTES = 1 << 17
+_GZIP = b"\x1f\x8b"
+
+
+@dataclass(frozen=True)
+class RecordingFormat:
+    """A kind of recording.
+
+    link: what a link with it is called when nobody names it; empty: after the file.
+    framer: takes the known MAVLink messages and returns what finds the frames.
+    """
+
+    name: str
+    link: str
+    framer: Callable[[Dialect], Framer]
+
+
+TELEMETRY_LOG = RecordingFormat("MAVLink telemetry log", "vehicle", TlogFramer)
+RECEIVER_STREAM = RecordingFormat(
+    "GNSS receiver stream", "", lambda dialect: StreamFramer(receiver_wires(), dialect)
+)
+DATAFLASH_LOG = RecordingFormat("ArduPilot DataFlash log", "vehicle", lambda _: DataflashFramer())
+PX4_LOG = RecordingFormat("PX4 log (ULog)", "vehicle", lambda _: UlogFramer())
+EVENT_LIST = RecordingFormat("event list (Timestamp.MRK)", "camera", lambda _: MrkFramer())
+FORMATS = (TELEMETRY_LOG, RECEIVER_STREAM, DATAFLASH_LOG, PX4_LOG, EVENT_LIST)
+
+
+class RecordedBytes:
+    """The bytes of a recording, unpacked, with the hash and the size of the file that they come from."""
+
+    def __init__(self, path: Path, raw: BufferedReader) -> None:
+        self.path = path
+        self.packed = raw.read(2) == _GZIP
+        raw.seek(0)
+        self._raw = raw
+        self.cut = False
+
+    def pieces(self) -> Iterator[bytes]:
+        """Yield the bytes from the beginning; a packed file that ends early sets `cut`.
+
+        raises InputMalformedError: when a packed file is damaged inside.
+        """
+        self._raw.seek(0)
+        if not self.packed:
+            while piece := self._raw.read(PIECE_BYTES):
+                yield piece
+            return
+        with gzip.GzipFile(fileobj=self._raw) as unpacked:
+            while True:
+                try:
+                    # read1 gives what could still be unpacked before the cut.
+                    piece = unpacked.read1(PIECE_BYTES)
+                except EOFError:
+                    self.cut = True
+                    return
+                except (OSError, zlib.error) as damage:
+                    raise InputMalformedError(
+                        f"the gzip packing is damaged ({damage})", "take another copy", where=self.path
+                    ) from damage
+                if not piece:
+                    return
+                yield piece
+
+    def batches(self, framer: Framer, advance: Callable[[float], None] = lambda _: None) -> Iterator[Batch]:
+        """Yield the frames; `advance` is told how much more of the file was read, bytes."""
+        done = 0
+        for piece in self.pieces():
+            yield framer.feed(piece)
+            advance(self._raw.tell() - done)
+            done = self._raw.tell()
+        yield framer.close()
+
+    def size(self) -> int:
+        """Return the size of the file, bytes."""
+        return self.path.stat().st_size
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of the file as it lies on disk."""
+        self._raw.seek(0)
+        return hashlib.file_digest(self._raw, "sha256").hexdigest()
+
+
+@contextmanager
+def open_recording(path: Path) -> Iterator[RecordedBytes]:
+    """Open a recording."""
+    if path.is_dir():
+        raise InputNotFoundError("is a folder, a recording was expected", "name the file", where=path)
+    with reading(path):
+        raw = path.open("rb")
+    with raw:
+        if not raw.read(1):
+            raise InputNotFoundError("is empty", "name a recording that has data", where=path)
+        raw.seek(0)
+        yield RecordedBytes(path, raw)
+
+
+def identify(source: RecordedBytes, dialect: Dialect) -> RecordingFormat:
+    """Tell the format of a recording by what its first part holds."""
+    head = bytearray()
+    for piece in source.pieces():
+        head += piece
+        if len(head) >= _HEAD_BYTES:
+            break
+    del head[_HEAD_BYTES:]
+    best, most = None, 0
+    for form in FORMATS:
+        framer = form.framer(dialect)
+        batches = [framer.feed(bytes(head))]
+        if len(head) < _HEAD_BYTES:
+            batches.append(framer.close())
+        held = sum(int(batch.length.sum()) for batch in batches)
+        if held > most:
+            best, most = form, held
+        if 2 * held > len(head):
+            break
+    if best is None:
+        *names, last = (protocol.name for protocol in receiver_protocols())
+        raise InputMalformedError(
+            f"has no complete MAVLink record, no {', '.join(names)} or {last} frame, no DataFlash, ULog or "
+            "MRK record",
+            "import a .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg or .mrk recording",
+            where=source.path,
+        )
+    return best
+
+
+Clock = ReceiverClock | EventListClock
+Definitions = UlogFormats | DataflashFormats
+# What decodes an autopilot's own log, what it defines, and what is to be known of its times.
+_LOGS: dict[RecordingFormat, tuple[Any, type[Definitions], Callable[[int], str]]] = {
+    DATAFLASH_LOG: (DataflashDecoder, DataflashFormats, expiry_warning),
+    PX4_LOG: (UlogDecoder, UlogFormats, lambda _: ""),
+}
+HOST_TIME = "host stamps of the recording"
+
+Timed = Iterator[tuple[Batch, Integers]]
+
+
+def stamped(batches: Iterable[Batch]) -> Timed:
+    """Yield batches with the host stamps of their recording."""
+    for batch in batches:
+        assert batch.host_ns is not None  # noqa: S101
+        yield batch, batch.host_ns
+
+
+def derived(batches: Iterable[Batch], clock: Clock, where: object) -> Timed:
+    """Yield batches with the receiver's own UTC, since there is no time of receipt."""
+
+    def timed() -> Timed:
+        """Give each batch with the UTC of its frames, once the first time of the device is known."""
+        left, waiting = iter(batches), list[Batch]()
+        for batch in left:
+            waiting.append(batch)
+            device = clock.feed(batch)
+            if (device >= 0).any():
+                # The date is known now: what came before it can be read again, with the date at hand.
+                clock.restart(int(device[device >= 0][0]))
+                devices = [clock.feed(earlier) for earlier in waiting]
+                first = next(time for device in devices for time in device.tolist() if time >= 0)
+                yield from zip(waiting, (np.maximum(device, first) for device in devices), strict=True)
+                break
+        else:
+            if waiting:
+                raise InputMalformedError(
+                    "no message contains the date (RXM-RAWX, NAV-PVT, NAV-TIMEGPS, NAV-TIMEUTC, RMC, ZDA "
+                    "or 1013)",
+                    where=where,
+                    remedy="give --date YYYY-MM-DD, or record one of these messages too",
+                )
+        for batch in left:
+            yield batch, clock.feed(batch)
+
+    return _steadily(timed(), -1)
+
+
+def since_boot(batches: Iterable[Batch], definitions: Definitions, boot: BootTime) -> Timed:
+    """Yield batches of an autopilot's own log with the UTC of its records, since there is no receipt."""
+
+    def timed() -> Timed:
+        """Give each batch with the times since boot as the records' own definitions state them."""
+        for batch in batches:
+            definitions.learn(batch)
+            yield batch, boot.of(definitions.boot_ns(batch))
+
+    return _steadily(timed(), boot.utc_ns)
+
+
+def _steadily(timed: Timed, last: int) -> Timed:
+    """Yield batches with times that never go back: a frame without a time has the last one before it."""
+    for batch, device in timed:
+        times = np.maximum.accumulate(np.append(last, device))
+        last = int(times[-1])
+        yield batch, times[1:]
+
+
+@dataclass(frozen=True)
+class Way:
+    """The way of a recording into the log.
+
+    time_source: says, after the import, where the times came from.
+    warned: says what to know about the times, given the last one; empty when they are sure.
+    """
+
+    decoder: Decoder
+    timed: Callable[[Iterable[Batch]], Timed]
+    time_source: Callable[[], str]
+    warned: Callable[[int], str] = expiry_warning
+
+
+def way_of(source: RecordedBytes, form: RecordingFormat, link: str, dialect: Dialect, near_ns: int) -> Way:
+    """Return the way of a recording."""
+    if form is TELEMETRY_LOG:
+        # Host stamps are UTC already; what a receiver tells in GPS time needs the leap seconds.
+        return Way(VehicleDecoder(link, dialect), stamped, lambda: HOST_TIME, lambda _: "")
+    if form in _LOGS:
+        decoder, formats, warned = _LOGS[form]
+        boot = boot_time(source.batches(form.framer(dialect)), formats())
+        if boot is None:
+            raise InputMalformedError(
+                "the autopilot's receiver never reported UTC with a 3D fix: its times cannot be placed",
+                where=source.path,
+                remedy="import a log that was recorded outdoors",
+            )
+        time_source = f"running time of the autopilot, tied to UTC by {boot.pairs} times of its GNSS receiver"
+        timed = partial(since_boot, definitions=formats(), boot=boot)
+        return Way(decoder(link, boot), timed, lambda: time_source, warned)
+    events = form is EVENT_LIST
+    clock: Clock = EventListClock() if events else ReceiverClock(near_ns)
+    return Way(
+        EventListDecoder(link) if events else ReceiverDecoder(link),
+        partial(derived, clock=clock, where=source.path),
+        lambda: _derivation(clock, near_ns),
+    )
+
+
+def _derivation(clock: Clock, near_ns: int) -> str:
+    # Where the stream tells its date itself, that is what counts.
+    dated = clock.sources or near_ns < 0
+    text = ", ".join(sorted(clock.sources)) if dated else "time of day or week, the date as it was given"
+    return f"derived from the receiver's own time ({text}); no host clock"
+
 
 CHUNK_BYTES = 1 << 20
 _COUNTED = ("frames", "frame_bytes", "stamp_bytes", "damage_bytes", "damage_runs")

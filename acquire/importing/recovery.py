@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from acquire.channels.link import LinkLog
+from acquire.log.chunk import ARRIVED_ENCODING, ARRIVED_HEAD
 from acquire.log.reader import LoggedMessages, LogReader, link_of
-from acquire.log.records import ARRIVED_ENCODING, ARRIVED_HEAD
 from acquire.log.writer import LogWriter
 from drivers.frames import StreamFramer
 from drivers.protocols import wires_of
@@ -38,7 +38,7 @@ class Recovered:
 
 @dataclass
 class _Unframed:
-    """What came over a link and was written before it was framed, see `acquire.log.records.ARRIVED_HEAD`."""
+    """What came over a link and was written before it was framed, see `acquire.log.chunk.ARRIVED_HEAD`."""
 
     protocol: str = ""
     framed: int = 0

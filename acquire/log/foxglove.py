@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from acquire.log.records import Schema
+from acquire.log.chunk import Schema
 from photocal.base.arrays import Floats, Integers
 
 SECOND_NS = 1_000_000_000

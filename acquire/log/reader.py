@@ -1,4 +1,7 @@
-"""Reading flight logs in the order of the file, also such that end early."""
+"""Reading flight logs in the order of the file, also such that end early.
+
+A flight log as arrays: one for each field of each topic.
+"""
 
 import io
 import json
@@ -14,9 +17,9 @@ from mcap import records as mcap
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
+from numpy.typing import NDArray
 
-from acquire.log import records
-from acquire.log.records import Channel, Schema
+from acquire.log.chunk import MAGIC, MESSAGE_ROW, Channel, Schema
 from photocal.base.arrays import Integers
 from photocal.base.console import printable
 from photocal.base.errors import InputMalformedError, InputNotFoundError, reading
@@ -122,9 +125,9 @@ class LogReader:
             stream = self.path.open("rb")
         with stream:
             total = self.path.stat().st_size
-            magic = stream.read(len(records.MAGIC))
+            magic = stream.read(len(MAGIC))
             malformed = InputMalformedError.at(self.path)
-            if magic != records.MAGIC:
+            if magic != MAGIC:
                 what = "is not a flight log (MCAP)" if magic else "is empty"
                 raise malformed(what, "name an .mcap file, or import the recording first")
             stream.seek(max(self.position, len(magic)))
@@ -154,7 +157,7 @@ class LogReader:
     def _messages(self, content: bytes) -> list[LoggedMessages]:
         places: dict[int, list[int]] = {}
         sizes: dict[int, list[int]] = {}
-        width = records.MESSAGE_ROW.itemsize
+        width = MESSAGE_ROW.itemsize
         at, end = 0, len(content)
         while at + 9 <= end:
             opcode, size = content[at], int.from_bytes(content[at + 1 : at + 9], "little")
@@ -172,7 +175,7 @@ class LogReader:
             if self.wanted is not None and not self.wanted(self._channels[number]):
                 continue
             place = np.array(starts, np.int64)
-            head = np.ndarray((end - width + 1,), records.MESSAGE_ROW, content, strides=(1,))[place]
+            head = np.ndarray((end - width + 1,), MESSAGE_ROW, content, strides=(1,))[place]
             payloads = [content[a + width : a + 9 + s] for a, s in zip(starts, sizes[number], strict=True)]
             messages.append(
                 LoggedMessages(
@@ -236,3 +239,79 @@ def read_json(payload: bytes, path: Path) -> dict[str, Any]:
             f"a message is not JSON ({type(damage).__name__})", "run acquire recover", where=path
         ) from damage
     return value if isinstance(value, dict) else {}
+
+
+Decode = Callable[[bytes], dict[str, Any]]
+
+
+def arrays_of_log(path: Path, topics: frozenset[str]) -> dict[str, dict[str, NDArray[Any]]]:
+    """Read topics in one pass; without any all that are decoded."""
+    rows: dict[str, list[dict[str, Any]]] = {}
+    decoders: dict[Channel, Decode] = {}
+    for chunk in LogReader(path).chunks():
+        for messages in chunk:
+            channel = messages.channel
+            if channel.topic not in topics if topics else channel.schema is None:
+                continue
+            decode = decoders.setdefault(channel, _decoder(channel))
+            rows_of_topic = rows.setdefault(channel.topic, [])
+            times = zip(messages.log_ns.tolist(), messages.publish_ns.tolist(), strict=True)
+            for (log_ns, publish_ns), payload in zip(times, messages.payloads, strict=True):
+                rows_of_topic.append({"log_ns": log_ns, "publish_ns": publish_ns, **decode(bytes(payload))})
+    return {topic: _columns(rows_of_topic) for topic, rows_of_topic in sorted(rows.items())}
+
+
+def _decoder(channel: Channel) -> Decode:
+    if channel.schema is None:
+        return lambda payload: {"payload": payload}
+    if channel.encoding == "json":
+        return lambda payload: _flat(json.loads(payload))
+    return _protobuf(channel.schema)
+
+
+def _protobuf(schema: Schema) -> Decode:
+    from google.protobuf import descriptor_pool, json_format, message_factory
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+    pool = descriptor_pool.DescriptorPool()
+    for file in FileDescriptorSet.FromString(schema.data).file:
+        pool.Add(file)
+    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+
+    def decode(payload: bytes) -> dict[str, Any]:
+        """Turn a message into a flat mapping of its fields."""
+        message = kind.FromString(payload)
+        return _flat(json_format.MessageToDict(message, preserving_proto_field_name=True))
+
+    return decode
+
+
+def _flat(content: dict[str, Any], before: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in content.items():
+        if isinstance(value, dict):
+            flat |= _flat(value, f"{before}{key}.")
+        else:
+            flat[before + key] = value
+    return flat
+
+
+def _columns(rows: list[dict[str, Any]]) -> dict[str, NDArray[Any]]:
+    """Columns of messages; what a message leaves out is NaN, an empty text, or None among lists."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    return {name: _column([row.get(name) for row in rows]) for name in names}
+
+
+def _column(values: list[Any]) -> NDArray[Any]:
+    known = [value for value in values if value is not None]
+    if all(isinstance(value, str) for value in known):
+        return np.array(["" if value is None else value for value in values])
+    if all(isinstance(value, int | float) for value in known):
+        whole = len(known) == len(values) and all(isinstance(value, int) for value in known)
+        return np.array(values if whole else [np.nan if value is None else float(value) for value in values])
+    numbers = all(isinstance(v, list) and all(isinstance(x, int | float) for x in v) for v in values)
+    if numbers and len({len(value) for value in values}) == 1:
+        return np.array(values, dtype=float)
+    column = np.empty(len(values), dtype=object)
+    column[:] = values
+    return column

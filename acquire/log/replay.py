@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from acquire.log.chunk import DAMAGE_ENCODING
 from acquire.log.reader import LoggedMessages, LogReader, link_of
-from acquire.log.records import DAMAGE_ENCODING
 from acquire.transports.sinks import Sink
 from drivers.mavlink.dialect import V1, V2
 from photocal.base.errors import ConfigurationError, InputMalformedError

@@ -9,9 +9,7 @@ from typing import BinaryIO
 from mcap import records as mcap
 from mcap.opcode import Opcode
 
-from acquire.log import records
-from acquire.log.chunk import COMPRESSION, OpenChunk, SealedChunk, sealed
-from acquire.log.records import Channel, Payloads, encoded
+from acquire.log.chunk import COMPRESSION, MAGIC, Channel, OpenChunk, Payloads, SealedChunk, encoded, sealed
 from photocal.base.arrays import Integers
 
 LIBRARY = "photocal"
@@ -37,7 +35,7 @@ class LogWriter:
         self._attachments: list[bytes] = []
         self._metadata: list[bytes] = []
         self._span: tuple[int, int] | None = None
-        self._put(records.MAGIC)
+        self._put(MAGIC)
         self._put(encoded(mcap.Header("", library)))
 
     @property
@@ -146,7 +144,7 @@ class LogWriter:
                 summary += body
         footer = encoded(mcap.Footer(start, start + len(summary), 0))[:-4]
         check = zlib.crc32(summary + offsets + footer)
-        self._put(summary + offsets + footer + check.to_bytes(4, "little") + records.MAGIC)
+        self._put(summary + offsets + footer + check.to_bytes(4, "little") + MAGIC)
 
     def _put(self, data: bytes) -> None:
         self._stream.write(data)

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+from acquire.log.chunk import Channel, Schema
 from acquire.log.reader import LoggedMessages
-from acquire.log.records import Channel, Schema
 from photocal.base.errors import ConfigurationError, ProgramMissingError
 from photocal.base.web import TOKEN_BYTES, Address
 

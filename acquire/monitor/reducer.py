@@ -9,19 +9,24 @@ import numpy as np
 
 from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH, STATION
 from acquire.log.reader import LoggedMessages
-from acquire.monitor.exposures import CountedPictures, Trigger, numbers, reported, settled, triggered
 from acquire.monitor.state import (
     OF_FLIGHT,
     Battery,
+    CountedPictures,
     LinkState,
     RecordingState,
     ShownAlarm,
     Track,
+    Trigger,
     ended,
     extended,
     in_order,
+    numbers,
     place_at,
     raised,
+    reported,
+    settled,
+    triggered,
     vehicle_after,
 )
 from acquire.monitor.traffic import OCTETS, WORTH, correction_age_s, fed, link_after, number, receiver_after

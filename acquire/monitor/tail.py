@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from acquire.channels.decoded import SECOND_NS
+from acquire.log.chunk import MAGIC, PART_OF
 from acquire.log.reader import LoggedMessages, LogReader
-from acquire.log.records import MAGIC, PART_OF
 from acquire.monitor.reducer import state_after
 from acquire.monitor.state import ComputerState, RecordingState
 from acquire.monitor.traffic import looked

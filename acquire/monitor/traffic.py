@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from acquire.channels.decoded import SECOND_NS
-from acquire.channels.verdict import GAP_S
+from acquire.channels.summary import GAP_S
+from acquire.log.chunk import DAMAGE_ENCODING
 from acquire.log.reader import LoggedMessages
-from acquire.log.records import DAMAGE_ENCODING
 from acquire.monitor.state import ComputerState, LinkState, ReceiverState, RecordingState, ended, raised
 from drivers.frames import Wire
 from drivers.identify import batch_of_payloads

@@ -6,9 +6,17 @@ from typing import Any
 import numpy as np
 
 from acquire.channels.decoded import SECOND_NS
-from acquire.monitor.exposures import CountedPictures, numbers
 from acquire.monitor.planned import covered
-from acquire.monitor.state import Battery, LinkState, ReceiverState, RecordingState, ShownAlarm, VehicleState
+from acquire.monitor.state import (
+    Battery,
+    CountedPictures,
+    LinkState,
+    ReceiverState,
+    RecordingState,
+    ShownAlarm,
+    VehicleState,
+    numbers,
+)
 from acquire.monitor.traffic import (
     DEAD_CORRECTION_S,
     LEAST_WORTH,

@@ -8,7 +8,7 @@ import numpy as np
 
 from acquire.channels.decoded import TIME, JsonLayout, Times, words
 from acquire.channels.link import MessageWriter
-from acquire.log.records import Channel
+from acquire.log.chunk import Channel
 from acquire.recording.reader import MOST_BYTES_S, Inbox
 
 LEAST_JUMP_S = 0.5

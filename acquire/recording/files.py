@@ -1,4 +1,7 @@
-"""The files of a recording: one after the other, in the next place when a disk is full, fails or hangs."""
+"""The files of a recording: one after the other, in the next place when a disk is full, fails or hangs.
+
+What of a recording is kept longest while no disk takes anything and the memory fills.
+"""
 
 import contextlib
 import errno
@@ -11,15 +14,44 @@ from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from pathlib import Path
 
-from acquire.log import records
-from acquire.log.chunk import OpenChunk, SealedChunk
-from acquire.log.records import Channel
+from acquire.log.chunk import (
+    ARRIVED_ENCODING,
+    DAMAGE_ENCODING,
+    PART_OF,
+    Channel,
+    OpenChunk,
+    Payloads,
+    SealedChunk,
+)
 from acquire.log.writer import LogWriter
 from acquire.recording.log_file import OpenFile, WholeWrites, discard, in_background, new_file, new_log
-from acquire.recording.worth import SHARE, worth
 from photocal.base.arrays import Integers
 from photocal.base.errors import OutputError
 from photocal.base.operating_system import available_memory
+
+# Words of what may be left out, and the share of the memory up to which it is kept: the least of worth first.
+DECODED = "decoded messages (they can be made again from the raw ones)"
+VEHICLE = "raw frames of vehicles and sentences, alarms and damage"
+RECEIVER = "raw frames of GNSS receivers and corrections"
+CAMERA = "camera events"
+SHARE = {DECODED: 0.5, VEHICLE: 0.75, RECEIVER: 0.95, CAMERA: 1.0}
+_OF_LITTLE_WORTH = ("mavlink", "nmea", DAMAGE_ENCODING, ARRIVED_ENCODING)
+
+
+def worth(channel: Channel) -> str:
+    """Return as what a channel counts, one of `SHARE`.
+
+    Camera events come once, and what a receiver has measured cannot be made again; an autopilot keeps a log
+    of its own.
+    """
+    if channel.topic.startswith("/camera/"):
+        return CAMERA
+    if channel.topic == "/alarm":
+        return VEHICLE
+    if channel.schema is not None:
+        return DECODED
+    return VEHICLE if channel.encoding in _OF_LITTLE_WORTH else RECEIVER
+
 
 # What is held in memory while no disk takes anything (no more than a quarter of what is free), and how often
 # it is tried again.
@@ -113,7 +145,7 @@ class LogFiles:
     def messages(
         self,
         channel: Channel,
-        payloads: records.Payloads,
+        payloads: Payloads,
         log_ns: Integers,
         publish_ns: Integers,
         sequence: Integers,
@@ -191,7 +223,7 @@ class LogFiles:
         try:
             writer = LogWriter(stream)
             first = self._first or path.name
-            writer.metadata(records.PART_OF, {"first_file": first, "file": f"{self._begun + 1}"})
+            writer.metadata(PART_OF, {"first_file": first, "file": f"{self._begun + 1}"})
             self._begin(writer)
             writer.define(self._open.definitions)
             made = OpenFile(path, stream, writer, self._steady_s(), stream.size)

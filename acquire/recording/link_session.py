@@ -9,7 +9,7 @@ from acquire.channels.decoded import Decoded, Decoder
 from acquire.channels.link import LinkLog, MessageWriter, arrived_channel
 from acquire.channels.receiver import ReceiverDecoder
 from acquire.channels.vehicle import VehicleDecoder
-from acquire.log.records import ARRIVED_HEAD, Channel
+from acquire.log.chunk import ARRIVED_HEAD, Channel
 from acquire.recording.alarms import Alarm
 from acquire.recording.caster_position import CasterPosition
 from acquire.recording.configuration import LinkConfiguration, RecordingConfiguration

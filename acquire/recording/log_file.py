@@ -14,8 +14,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from acquire.log import records
-from acquire.log.chunk import SealedChunk
+from acquire.log.chunk import MAGIC, SealedChunk
 from acquire.log.writer import LogWriter
 from photocal.base.operating_system import sync_folder
 
@@ -135,8 +134,8 @@ def unclosed(folder: Path) -> list[Path]:
 def _has_end(path: Path) -> bool:
     try:
         with path.open("rb") as stream:
-            stream.seek(-len(records.MAGIC), io.SEEK_END)
-            return stream.read() == records.MAGIC and stream.tell() > len(records.MAGIC)
+            stream.seek(-len(MAGIC), io.SEEK_END)
+            return stream.read() == MAGIC and stream.tell() > len(MAGIC)
     except OSError:
         return False
 

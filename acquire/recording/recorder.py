@@ -24,10 +24,10 @@ from acquire.recording.alarms import (
 )
 from acquire.recording.caster_position import CasterPosition, caster_positions
 from acquire.recording.configuration import LinkConfiguration, RecordingConfiguration
+from acquire.recording.device_line import Outlet
 from acquire.recording.files import LogFiles, Notice, RotationLimits
 from acquire.recording.link_session import LinkSession, link_sessions
 from acquire.recording.log_file import WholeWrites, new_file, unclosed
-from acquire.recording.outlet import Outlet
 from acquire.recording.reader import Inbox, left_behind, start_readers
 from acquire.transports.ntrip import NtripSource, ntrip_address
 from acquire.transports.sources import Source, source_of

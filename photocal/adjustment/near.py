@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from photocal.adjustment.adjusted import determined
 from photocal.adjustment.datum import full_solution
 from photocal.adjustment.envelope import clear, factorise, product, solve
 from photocal.adjustment.equations import Equations, add_equations
@@ -17,7 +18,6 @@ from photocal.adjustment.factored import Factored, factored
 from photocal.adjustment.kernels.data import Design, Reduced, point_room
 from photocal.adjustment.kernels.removal import Removed, remove_images
 from photocal.adjustment.normal import Normal, diagonal_addresses, eliminated, other_equations, values_of
-from photocal.adjustment.parallax import determined
 from photocal.adjustment.rank import weakest_pivot
 from photocal.adjustment.solver import SINGULAR_PIVOT, Near, chords, moved_along, moved_by
 from photocal.adjustment.state import State

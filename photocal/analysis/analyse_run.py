@@ -21,12 +21,11 @@ from photocal.findings.texts import Catalogue, catalogue, finding_text, need_wor
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import angles_from_matrix
 from photocal.georeferencing.causes import slips_of
-from photocal.georeferencing.differences import exposure_difference
+from photocal.georeferencing.comparison import exposure_difference
 from photocal.georeferencing.direct import direct_orientation
-from photocal.georeferencing.local import in_local_frame
+from photocal.georeferencing.methods import in_local_frame
 from photocal.results.adjusted import network_of, state_of
-from photocal.results.folder import RESULT, read_result
-from photocal.results.origin import block_of_run
+from photocal.results.folder import RESULT, block_of_run, read_result
 from photocal.results.result import Result
 
 

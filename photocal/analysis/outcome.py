@@ -14,9 +14,17 @@ from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
 from photocal.analysis import correlation
-from photocal.analysis.components import Proposal, propose_removal
-from photocal.analysis.estimates import GROUPS, Estimates, FTest, scaled, significance, without
-from photocal.analysis.left_out import Checks, WithoutParameter, left_out
+from photocal.analysis.estimates import (
+    GROUPS,
+    Estimates,
+    FTest,
+    Proposal,
+    propose_removal,
+    scaled,
+    significance,
+    without,
+)
+from photocal.analysis.left_out import Checks, Within, WithoutParameter, left_out, within_flight
 from photocal.analysis.lens_models import LensFit, lens_fits, of_lenses
 from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
 from photocal.analysis.robust import CLOSED_FORM, apart, bootstrap, sandwich
@@ -29,12 +37,16 @@ from photocal.analysis.stability.methods import (
     step_of,
     view,
 )
-from photocal.analysis.systematic_errors.camera_findings import of_datum, one_angle_photos
-from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.scatter import AssumedSigma, ResidualMap, VarianceComponent
-from photocal.analysis.systematic_errors.search import Search, camera_estimates, search
+from photocal.analysis.systematic_errors.findings import findings, of_datum, one_angle_photos
+from photocal.analysis.systematic_errors.search import (
+    AssumedSigma,
+    ResidualMap,
+    Search,
+    VarianceComponent,
+    camera_estimates,
+    search,
+)
 from photocal.analysis.systematic_errors.shifts import MOST_JOINT, ImageShift
-from photocal.analysis.within_flight import Within, within_flight
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.findings.finding import Finding

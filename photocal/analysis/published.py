@@ -8,9 +8,18 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from photocal.analysis.components import Components, Proposal, principal_components, propose_removal
 from photocal.analysis.correlation import StrongCorrelation, strong_correlations
-from photocal.analysis.estimates import GROUPS, Estimates, FTest, f_test, from_sigmas
+from photocal.analysis.estimates import (
+    GROUPS,
+    Components,
+    Estimates,
+    FTest,
+    Proposal,
+    f_test,
+    from_sigmas,
+    principal_components,
+    propose_removal,
+)
 from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.policy import policy

@@ -22,7 +22,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from tomlkit.exceptions import TOMLKitError
 
 from photocal.base.arrays import Floats
-from photocal.base.checked_json import read_checked_json
+from photocal.base.checked_toml import read_checked_json
 from photocal.base.errors import InputMalformedError, InputNotFoundError
 
 Kind = TypeVar("Kind")

@@ -1,4 +1,7 @@
-"""Outputs that are whole or not there: written aside, then renamed."""
+"""Outputs that are whole or not there: written aside, then renamed.
+
+Names that people give: on one line, without characters that hide, and compared as people read them.
+"""
 
 import csv
 import io
@@ -17,6 +20,7 @@ from photocal.base.operating_system import replace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+import unicodedata
 
 # Kinds of pictures by their endings, with what would differ from one writing to the next.
 _PICTURES: dict[str, dict[str, None] | None] = {
@@ -154,3 +158,35 @@ def refusals(path: Path, remedy: str = "choose a place that you may write to") -
     except OSError as refusal:
         reason = refusal.strerror or str(refusal)
         raise OutputError(f"cannot be written ({reason})", remedy, where=path) from refusal
+
+
+# Control and format (zero width, right to left), line and paragraph ends, halves and no characters.
+_HIDDEN = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
+
+
+def one_line(name: str) -> str:
+    """Return a name that a terminal prints as it is.
+
+    raises ValueError: when a character in it cannot be seen, steers a terminal or ends a line.
+    """
+    hidden = next((c for c in name if unicodedata.category(c) in _HIDDEN), None)
+    if hidden is not None:
+        what = unicodedata.name(hidden, "control character").lower()
+        raise ValueError(f"has a character that is not printed, U+{ord(hidden):04X} ({what})")
+    return name
+
+
+def plain_name(name: str) -> str:
+    """Return a name in its one form: NFKC of Unicode, blanks folded, none at its ends.
+
+    raises ValueError: as of `one_line`, and for a name of blanks.
+    """
+    plain = " ".join(unicodedata.normalize("NFKC", one_line(name)).split())
+    if not plain:
+        raise ValueError("is empty")
+    return one_line(plain)
+
+
+def compared(name: str) -> str:
+    """Return what two names have in common that people take for the same: neither case nor form counts."""
+    return unicodedata.normalize("NFKC", unicodedata.normalize("NFKC", name).casefold())

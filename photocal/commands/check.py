@@ -134,7 +134,7 @@ def judge_product(
 
 def judge_moments(path: Path, standards: tuple[Standard, ...], question: Question) -> Judged:
     """Judge products of which only moments were printed."""
-    from photocal.accuracy.printed_moments import assess_moments, moments_record, moments_text, read_moments
+    from photocal.accuracy.output import assess_moments, moments_record, moments_text, read_moments
 
     sets = read_moments(path).items()
     made = tuple(assess_moments(name, moments, standards, question) for name, moments in sets)

@@ -81,7 +81,7 @@ def compare(
 
         draw_curves(asked.calibrations, curves)
     if parameters is not None:
-        from photocal.analysis.stability.parameter_pictures import draw_parameters
+        from photocal.analysis.stability.pictures import draw_parameters
 
         draw_parameters(asked.calibrations, compared.pairs, parameters)
     uses: tuple[Use, ...] = ()

@@ -186,7 +186,7 @@ def _memory() -> Check:
 
 
 def _grids(crs: str | None) -> Check:
-    from photocal.geometry.grids import grids_here, missing_grids
+    from photocal.geometry.systems import grids_here, missing_grids
 
     if crs is None:
         return Check("grids", "good", f"{len(grids_here())} here; --crs looks for those of a project")
@@ -235,8 +235,8 @@ def fetch_grids(
 
     Example: `photocal fetch-grids EPSG:31982+5773 --area -54 -31 -53 -30`
     """
-    from photocal.geometry.grids import fetch_grids as fetched
-    from photocal.geometry.grids import missing_grids
+    from photocal.geometry.systems import fetch_grids as fetched
+    from photocal.geometry.systems import missing_grids
 
     names = missing_grids(crs, area) if dry else fetched(crs, area)
     word = "missing" if dry else "fetched"

@@ -60,7 +60,7 @@ def exposures(
 
     Example: `photocal exposures FLIGHT.mcap --images DIR -o exposures`
     """
-    from photocal.navigation.exposure_report import exposures_text
+    from photocal.navigation.exposure_run import exposures_text
     from photocal.navigation.steps import exposures as computed
 
     if lever_arm is not None:
@@ -104,9 +104,8 @@ def survey(
     from photocal.base.files import output_folder, write_json
     from photocal.findings.texts import catalogue, spoken
     from photocal.navigation.engine import Rtklib
-    from photocal.navigation.survey import Survey, run_survey
+    from photocal.navigation.survey import Survey, SurveySetup, run_survey
     from photocal.navigation.survey_report import survey_figures, survey_text, write_points
-    from photocal.navigation.survey_setup import SurveySetup
 
     plan = read_toml(setup, SurveySetup)
     with tempfile.TemporaryDirectory() as scratch:

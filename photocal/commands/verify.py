@@ -294,7 +294,7 @@ def _repeat(
     """
     from photocal.report import verification
     from photocal.report.issue import certified_result
-    from photocal.results.origin import CARRIED, BlockSource, changed_inputs
+    from photocal.results.folder import CARRIED, BlockSource, changed_inputs
     from photocal.run.repeated_findings import repeated_findings
 
     if block is None and not (folder / CARRIED).is_dir():

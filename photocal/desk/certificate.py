@@ -23,7 +23,7 @@ from starlette.routing import BaseRoute, Route
 from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.base.files import output_file
-from photocal.base.web_answers import calling, checked, doing, short_body, telling
+from photocal.base.web import calling, checked, doing, short_body, telling
 from photocal.desk import project_file
 from photocal.desk.folder import pictures
 from photocal.desk.jobs import asked

@@ -8,7 +8,7 @@ from starlette.routing import BaseRoute
 
 from photocal.base.errors import PhotocalError
 from photocal.base.files import output_file
-from photocal.base.web_answers import calling, doing, telling
+from photocal.base.web import calling, doing, telling
 from photocal.desk.jobs import FOLDER, asked
 from photocal.desk.project_file import field_of
 from photocal.desk.session import Desk

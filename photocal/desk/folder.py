@@ -15,7 +15,7 @@ from photocal.base.arrays import Floats
 from photocal.base.checked_toml import read_tables
 from photocal.base.errors import PhotocalError
 from photocal.base.files import output_file
-from photocal.base.web_answers import calling, doing, finding, telling
+from photocal.base.web import calling, doing, finding, telling
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, ROLES
 from photocal.desk import project_file

@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import BaseRoute, Route
 
-from photocal.base.web_answers import doing, finding, telling
+from photocal.base.web import doing, finding, telling
 from photocal.desk.session import Desk
 
 if TYPE_CHECKING:

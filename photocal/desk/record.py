@@ -13,8 +13,7 @@ from acquire.monitor.page import Latest, application
 from acquire.monitor.tail import follow, tail_of
 from photocal.base.checked_toml import read_tables
 from photocal.base.errors import PhotocalError
-from photocal.base.web import POLICY
-from photocal.base.web_answers import telling
+from photocal.base.web import POLICY, telling
 from photocal.desk.session import Desk
 
 _DEPTH, _MOST = 3, 5000

@@ -10,7 +10,7 @@ from pydantic import Field
 from starlette.routing import BaseRoute
 
 from photocal.base.errors import PhotocalError
-from photocal.base.web_answers import calling, doing, telling
+from photocal.base.web import calling, doing, telling
 from photocal.desk.certificate import issued_as
 from photocal.desk.project_file import field_of
 from photocal.desk.session import Desk

@@ -9,8 +9,7 @@ from typing import Any
 from starlette.applications import Starlette
 
 from photocal.base.errors import PhotocalError
-from photocal.base.web import folder_of
-from photocal.base.web_answers import calling, doing, refusal, telling
+from photocal.base.web import calling, doing, folder_of, refusal, telling
 from photocal.desk import certificate, checks, folder, look, record, running
 from photocal.desk.session import Desk
 from photocal.findings.texts import catalogue

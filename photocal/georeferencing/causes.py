@@ -1,25 +1,120 @@
-"""The search of causes on a block: its network, its control as it was typed, and what it cannot separate."""
+"""The search of causes on a block: its network, its control as it was typed, and what it cannot separate.
+
+Mistakes of ground points that are seen in their tables, before anything is adjusted.
+
+What a flight cannot separate: values that could be freed together, and how well each would be known.
+"""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
+from photocal.accuracy import ground_points
 from photocal.adjustment.adjusted import AdjustedNetwork, fit
+from photocal.adjustment.condensed import Condensed
 from photocal.adjustment.ledger import because
+from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, SHIFT, TIME, body_to_camera
+from photocal.adjustment.readout import READOUT
 from photocal.base.arrays import Floats
-from photocal.base.errors import PhotocalError
-from photocal.block.model import Block
-from photocal.block.network import NetworkOfBlock, assemble
-from photocal.geometry.ground_scale import combined_factor
-from photocal.georeferencing.local import as_mounted
-from photocal.georeferencing.methods import without_georeference, without_weak_images
-from photocal.georeferencing.separation import Separation, separation
+from photocal.base.errors import IllPosedError, PhotocalError
+from photocal.block.model import Block, Role
+from photocal.block.network import NetworkOfBlock, assemble, observed_plane
+from photocal.findings.finding import Finding
+from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.distortion import slopes_of
+from photocal.geometry.frames import combined_factor
+from photocal.geometry.resection import intersect
+from photocal.geometry.rotation import matrix_from_angles
+from photocal.georeferencing.methods import as_mounted, without_georeference, without_weak_images
 from photocal.hypotheses.control import slips
 from photocal.hypotheses.findings import Slips, no_slips
 from photocal.hypotheses.search import SystematicErrors, straightened, systematic_errors
 from photocal.hypotheses.table import FAULTS, Fault
+
+# What is asked of a calibration flight: 1 m, 1 degree, 0.1 s, 1 m; the camera: 1 % of c, 0.1 s of readout.
+_SCALE_COMMON = np.array([1.0] * 3 + [np.radians(1.0)] * 3 + [0.1] + [1.0] * 3 + [0.0])
+_SCALE_CAMERA, _SCALE_READOUT = 0.01, 0.1
+
+
+@dataclass(frozen=True)
+class Separation:
+    """How well the flight determines the values that could be freed together.
+
+    sigma (k,): standard deviation when all are free, in m, rad, s and the camera's unit; the prior of 1 m, 1
+        degree, 0.1 s, 1 % of c is included.
+    groups: names that are not separated from each other; a single name is not determined at all.
+    """
+
+    names: tuple[str, ...]
+    sigma: Floats
+    correlation: Floats
+    groups: tuple[tuple[str, ...], ...]
+
+
+def separation(block: Block, whole: Condensed) -> Separation | None:
+    """See what the block would leave open if everything were free; None without positions.
+
+    whole: equations of what its images share, with all of it free.
+    """
+    if not len(block.positions.image):
+        return None
+    asked = np.zeros(len(block.mounting.sigma), dtype=bool)
+    asked[LEVER], asked[SHIFT] = True, True
+    asked[BORESIGHT] = len(block.attitudes.image) > 0
+    asked[TIME] = bool(np.any(block.positions.velocity))
+    taken = np.flatnonzero(asked)
+    sigma = np.zeros(len(asked))
+    sigma[taken] = _SCALE_COMMON[taken]
+    cameras = tuple(replace(camera, prior_sigma=_scales(camera)) for camera in block.cameras)
+    columns = [int(whole.common_columns[k]) for k in taken]
+    names = [COMMON[k] for k in taken]
+    scale = [float(_SCALE_COMMON[k]) for k in taken]
+    for camera, camera_columns in zip(cameras, whole.camera_columns, strict=True):
+        for k, column in zip(*camera_columns, strict=True):
+            if np.isfinite(camera.prior_sigma[k]):
+                names.append(PARAMETERS[k] + (f"[{camera.id}]" if len(cameras) > 1 else ""))
+                columns.append(int(column))
+                scale.append(float(camera.prior_sigma[k]))
+    try:
+        mounting = replace(block.mounting, sigma=sigma)
+        covariance = whole.covariance(cameras, mounting)[np.ix_(columns, columns)]
+    except IllPosedError:
+        return None
+    deviation = np.sqrt(np.diag(covariance))
+    groups = _groups(tuple(names), covariance / np.outer(scale, scale))
+    return Separation(tuple(names), deviation, covariance / np.outer(deviation, deviation), groups)
+
+
+def _scales(camera: Camera) -> Floats:
+    """Scales of the estimated ones of c, x0, y0 and the readout; infinite of the others."""
+    scale = np.full(len(PARAMETERS), np.inf)
+    scale[:3], scale[READOUT] = _SCALE_CAMERA * camera.value("c"), _SCALE_READOUT
+    return np.where(camera.estimated, scale, np.inf)
+
+
+def _groups(names: tuple[str, ...], covariance: Floats) -> tuple[tuple[str, ...], ...]:
+    """Names that the undetermined directions tie together."""
+    # What has a smaller part in a direction without information has none in it.
+    takes_part = 0.1
+    variances, vectors = np.linalg.eigh(covariance)
+    # A direction is not determined when its standard deviation stays above this share of the scale.
+    undetermined = 0.05
+    open_ = vectors[:, variances > undetermined**2]
+    projector = open_ @ open_.T
+    part = np.diag(projector) > takes_part
+    linked = (np.abs(projector) > takes_part) & part[:, None] & part[None, :]
+    _, label = connected_components(csr_array(linked), directed=False)
+    groups: dict[int, list[str]] = {}
+    for name, group, has in zip(names, label.tolist(), part.tolist(), strict=True):
+        if has:
+            groups.setdefault(group, []).append(name)
+    return tuple(tuple(group) for group in groups.values())
+
 
 Place = Callable[[Floats], Floats]
 
@@ -119,3 +214,114 @@ def mistyped_of(found: SystematicErrors | None, named: Slips = no_slips) -> tupl
             d, sigma = -np.array([e.correction for e in own]), np.array([e.sigma for e in own])
             listed.append(Mistyped(point, d, sigma, named.of_point(point, d, sigma)))
     return tuple(listed)
+
+
+def ground_findings(block: Block) -> tuple[Finding, ...]:
+    """Look for mistakes in the control and check points of a block."""
+    control, check = _of_role(block, "control"), _of_role(block, "check")
+    surveyed = block.observations.rows(~block.points.of_role("tie")[block.observations.point])
+    pairs = tuple(
+        (block.images.names[i], block.points.names[j])
+        for i, j in zip(surveyed.image, surveyed.point, strict=True)
+    )
+    listed = list(ground_points.check_points_used_as_control(control, check))
+    for name, points in (("control", control), ("check", check)):
+        listed += ground_points.heights_all_equal(points, name)
+    listed += ground_points.control_in_few_images(control.names, pairs, "control")
+    listed += ground_points.control_in_few_images(check.names, pairs, "check")
+    ground = ground_points.GroundPoints(control.names + check.names, np.vstack([control.xyz_m, check.xyz_m]))
+    if not len(ground.names):
+        return tuple(listed)
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        system = None if block.frame == "local" else CRS.from_user_input(block.frame)
+    except CRSError:
+        return (*listed, Finding("unknown-frame", "grave", block.frame))
+    place = _place_findings(block, ground, system)
+    listed += place
+    # Distances say nothing where the whole frame is wrong.
+    if not place and (system is None or not system.is_geographic):
+        listed += ground_points.feet_for_metres(ground, by_start_values(block))
+    return tuple(listed)
+
+
+def _of_role(block: Block, role: Role) -> ground_points.GroundPoints:
+    indices = np.flatnonzero(block.points.of_role(role))
+    names = tuple(block.points.names[j] for j in indices)
+    return ground_points.GroundPoints(names, block.points.values[indices])
+
+
+def _place_findings(block: Block, ground: ground_points.GroundPoints, system: Any) -> tuple[Finding, ...]:
+    # Observed antenna positions, else the centres of images.csv.
+    exposures = block.positions.values if len(block.positions.image) else block.images.values[:, 3:]
+    exposures = exposures[np.isfinite(exposures).all(axis=1)]
+    if not len(exposures):
+        return ()
+    if system is None:
+        return _far_in_local_frame(ground, exposures)
+    from pyproj import Transformer
+
+    if system.is_geographic:
+        # X is longitude (east) and Y latitude (north), as for every other frame.
+        return ground_points.latitude_longitude_swapped(
+            ground.xyz_m[:, 1], ground.xyz_m[:, 0], exposures[:, 1::-1]
+        )
+    utm = system.utm_zone
+    if utm is None:
+        return _far_in_local_frame(ground, exposures)
+    back = Transformer.from_crs(system, system.geodetic_crs, always_xy=True)
+    longitude, latitude = back.transform(exposures[:, 0], exposures[:, 1])
+    degrees = np.column_stack([latitude, longitude])
+    if not np.isfinite(degrees).all():
+        return (Finding("exposures-outside-frame", "grave", block.frame),)
+    return ground_points.wrong_utm_zone(ground, int(utm[:-1]), southern=utm[-1] == "S", exposures_deg=degrees)
+
+
+def _far_in_local_frame(ground: ground_points.GroundPoints, exposures: Floats) -> tuple[Finding, ...]:
+    """Ground points far from the exposures, and the mistake that would bring them near."""
+    # Farther than any flight is from its ground points, in a local frame.
+    far_m = 50_000.0
+    places = ground.xyz_m[np.isfinite(ground.xyz_m).all(axis=1)]
+    if not len(places):
+        return ()
+    flight, middle = exposures[:, :2].mean(axis=0), places[:, :2].mean(axis=0)
+    distance = float(np.hypot(*(middle - flight)))
+    if distance <= far_m:
+        return ()
+    for code, cause, moved in (
+        ("east-north-swapped", "near-when-swapped", middle[::-1]),
+        ("feet-for-metres-plane", "near-in-feet", middle * ground_points.FOOT_M),
+        ("metres-for-feet", "near-in-metres", middle / ground_points.FOOT_M),
+    ):
+        near = float(np.hypot(*(moved - flight)))
+        if near <= far_m:
+            figures = {"far_km": distance / 1000.0, "near_km": near / 1000.0}
+            return (Finding(code, "grave", figures=figures, cause=cause),)
+    far = {"far_km": distance / 1000.0, "points": ground.names}
+    return (Finding("points-far-from-flight", "grave", figures=far, cause="other-frame"),)
+
+
+def by_start_values(block: Block) -> ground_points.GroundPoints:
+    """Intersect the rays of all points from the given orientations."""
+    plane, _ = observed_plane(block)
+    image = block.observations.image
+    slopes = slopes_of(block.cameras, block.images.camera[image], plane)
+    rotation = matrix_from_angles(block.images.values[:, :3])
+    centre = block.images.values[:, 3:].copy()
+    if len(block.attitudes.image):
+        matrix = body_to_camera(block.mounting, block.mounting.values)
+        rotation[block.attitudes.image] = matrix @ block.attitudes.rotation
+    centre[block.positions.image] = block.positions.values
+    # Images without start values have nothing to say yet.
+    known = np.isfinite(centre[image]).all(axis=1) & np.isfinite(rotation[image]).all(axis=(1, 2))
+    xyz = intersect(
+        block.observations.point[known],
+        len(block.points.names),
+        centre[image][known],
+        rotation[image][known],
+        slopes[known],
+        np.ones(known.sum()),
+    )
+    return ground_points.GroundPoints(block.points.names, xyz)

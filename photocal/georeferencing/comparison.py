@@ -1,30 +1,38 @@
-"""The whole check of a block: three methods side by side, systematic errors, what cannot be separated."""
+"""The whole check of a block: three methods side by side, systematic errors, what cannot be separated.
 
-from collections.abc import Callable
+Differences at ground points with the standard deviations that the method predicts for them.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy import special
+from scipy.linalg import block_diag
 
 from photocal.accuracy.assessment import Assessment, assess
+from photocal.accuracy.discrepancies import Discrepancies
 from photocal.accuracy.standard import Question, Standard
+from photocal.adjustment.ellipses import Ellipses, ellipses
 from photocal.adjustment.envelope import on_one_thread
+from photocal.adjustment.network import covariance_matrices
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, PhotocalError
 from photocal.base.policy import policy
-from photocal.block.model import Block, Role
+from photocal.block.model import ROLES, Block, Role
 from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_text
-from photocal.georeferencing.causes import Mistyped, causes_of, mistyped_of, typed_slips
-from photocal.georeferencing.differences import (
-    Differences,
-    ExposureDifference,
-    differences,
-    exposure_difference,
+from photocal.georeferencing.causes import (
+    Mistyped,
+    Separation,
+    causes_of,
+    ground_findings,
+    mistyped_of,
+    typed_slips,
 )
 from photocal.georeferencing.direct import leaves_open
-from photocal.georeferencing.ground_mistakes import ground_findings
-from photocal.georeferencing.local import in_local_frame, with_attitude_angles
 from photocal.georeferencing.methods import (
     METHODS,
     Degradation,
@@ -32,12 +40,189 @@ from photocal.georeferencing.methods import (
     Method,
     checkable,
     degraded,
+    in_local_frame,
     of_method,
+    with_attitude_angles,
     with_shutters,
 )
-from photocal.georeferencing.separation import Separation
 from photocal.hypotheses.findings import Slips, no_slips
 from photocal.hypotheses.search import SystematicErrors
+
+# Two-sided 0.1 %, Baarda's usual choice (1968) for single tests.
+CRITICAL_W = float(-special.ndtri(policy.significance / 2.0))
+
+
+@dataclass(frozen=True)
+class JointTest:
+    """All check points together: their adjusted coordinates have most of their errors in common.
+
+    chi_squared, p_value: d' C^-1 d with the covariance C of all adjusted points together and of the survey,
+        and its two-sided probability with `degrees_of_freedom`.
+    mean, mean_sigma (3,): mean difference and its standard deviation from C, m.
+    mean_p_value: probability of so large a mean without a bias.
+    """
+
+    degrees_of_freedom: int
+    chi_squared: float
+    p_value: float
+    mean: Floats
+    mean_sigma: Floats
+    mean_p_value: float
+
+    @property
+    def exceeds(self) -> bool:
+        """Whether errors are larger than their covariance explains (0.1 %)."""
+        return self.p_value < policy.significance and self.chi_squared > self.degrees_of_freedom
+
+    @property
+    def biased(self) -> bool:
+        """Whether the mean is larger than its covariance explains (0.1 %)."""
+        return self.mean_p_value < policy.significance
+
+
+def joint_test(d: Floats, covariance: Floats) -> JointTest:
+    """Judge differences jointly."""
+    factor = np.linalg.cholesky(covariance)
+    chi_squared = float(np.sum(np.linalg.solve(factor, d.ravel()) ** 2))
+    average = np.tile(np.eye(3), len(d)) / len(d)
+    of_mean = average @ covariance @ average.T
+    mean = d.mean(axis=0)
+    along = float(mean @ np.linalg.solve(of_mean, mean))
+    tail = min(float(special.chdtrc(d.size, chi_squared)), float(special.chdtr(d.size, chi_squared)))
+    sigma = np.sqrt(np.diag(of_mean))
+    return JointTest(d.size, chi_squared, 2.0 * tail, mean, sigma, float(special.chdtrc(3, along)))
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Computed minus surveyed coordinates of the ground points of one role.
+
+    d (n, 3): m.
+    product_sigma, survey_sigma (n, 3): predicted standard deviation of the computed coordinates, and that
+        which the survey states of its own, m; 0 where it states none.
+    covariance (n, 3, 3): predicted for d: of product and survey together; of a fitted point, of its residual.
+    w (n, 3): d over its predicted standard deviation; NaN where that is zero.
+    distance (n,): d' C^-1 d, chi-squared with 3 degrees of freedom when the prediction holds; NaN where C is
+        singular.
+    ellipses: of the computed position, in the X, Y plane.
+    joint: all check points together; None where their covariance is not known.
+    rest: the same of those that are not suspected, where some are, and others are left.
+    """
+
+    role: Role
+    names: tuple[str, ...]
+    d: Floats
+    xyz: Floats
+    product_sigma: Floats
+    survey_sigma: Floats
+    covariance: Floats
+    w: Floats
+    distance: Floats
+    ellipses: Ellipses
+    joint: JointTest | None = None
+    rest: JointTest | None = None
+
+    def discrepancies(self) -> Discrepancies:
+        """Give them to the statistics and the standards."""
+        return Discrepancies(self.names, self.d, self.xyz)
+
+    @cached_property
+    def rmse(self) -> Floats:
+        """Root mean square of the differences in X, Y, Z, m; NaN without points."""
+        return rms(self.d)
+
+    @cached_property
+    def predicted(self) -> Floats:
+        """Root mean square of the predicted sigmas of the computed coordinates, m; NaN without points."""
+        return rms(self.product_sigma)
+
+    @cached_property
+    def survey(self) -> Floats:
+        """Root mean square of the sigmas that the survey states, m; NaN without points."""
+        return rms(self.survey_sigma)
+
+    @property
+    def suspected(self) -> tuple[str, ...]:
+        """Points whose difference the prediction does not explain.
+
+        All of them together are one family of tests: in 0.5 % of sound blocks any point is suspected (Holm
+        1979).
+        """
+        tested = np.flatnonzero(np.isfinite(self.distance))
+        p = special.chdtrc(3, self.distance[tested])
+        order = np.argsort(p, kind="stable")
+        enough = p[order] <= policy.family_significance / np.arange(len(p), 0, -1)
+        rejected = tested[order[: len(p) if enough.all() else int(np.argmin(enough))]]
+        return tuple(self.names[k] for k in sorted(rejected.tolist()))
+
+    @property
+    def ratio(self) -> float:
+        """Root of the mean of d' C^-1 d / 3: 1 when errors are as large as predicted."""
+        known = self.distance[np.isfinite(self.distance)]
+        return float(np.sqrt(known.mean() / 3.0)) if len(known) else float("nan")
+
+
+@dataclass(frozen=True)
+class ExposureDifference:
+    """Exterior orientations less those of a reference, over the images that have both.
+
+    mean, rmse (6,): omega, phi, kappa (rad), X, Y, Z (m).
+    """
+
+    images: int
+    mean: Floats
+    rmse: Floats
+
+
+def exposure_difference(exposures: Floats, reference: Floats) -> ExposureDifference:
+    """Compare orientations (omega, phi, kappa, X, Y, Z; NaN where there is none) with a reference."""
+    d = exposures - reference
+    d[:, :3] = (d[:, :3] + np.pi) % (2 * np.pi) - np.pi
+    d = d[np.isfinite(d).all(axis=1)]
+    return ExposureDifference(len(d), d.mean(axis=0), np.sqrt(np.mean(d**2, axis=0)))
+
+
+def rms(vectors: Sequence[Floats] | Floats) -> Floats:
+    """Root mean square of each component of vectors, shape (n, 3) to (3,); NaN without any."""
+    return np.sqrt(np.mean(np.square(vectors), axis=0)) if len(vectors) else np.full(3, np.nan)
+
+
+def differences(block: Block, result: Georeferenced, role: Role) -> Differences:
+    """Compare the ground points of one role with their survey."""
+    of_role = block.points.role[result.points] == ROLES.index(role)
+    index, fitted = result.points[of_role], result.fitted[of_role]
+    surveyed = block.points.values[index]
+    d = result.xyz[of_role] - surveyed
+    product = result.covariance[of_role]
+    stated = np.where(np.isfinite(block.points.sigma[index]), block.points.sigma[index], 0.0)
+    cross = np.zeros((len(index), 3)) if block.points.cross is None else block.points.cross[index]
+    survey = covariance_matrices(stated, cross)
+    # The residual of a fitted observation: C_obs - C_adjusted (Mikhail 1976, eq. 7-17).
+    covariance = np.where(fitted[:, None, None], survey - product, survey + product)
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    # What is left of a held or hardly checked coordinate is rounding.
+    tested = variance > 1e-6 * (np.diagonal(product, axis1=1, axis2=2) + stated**2) + 1e-18
+    w = np.divide(d, np.sqrt(np.where(tested, variance, 1.0)), out=np.full_like(d, np.nan), where=tested)
+    distance = np.full(len(d), np.nan)
+    for k in np.flatnonzero(tested.all(axis=1)):
+        eigenvalues = np.linalg.eigvalsh(covariance[k])
+        if eigenvalues[0] > 1e-9 * eigenvalues[-1]:
+            distance[k] = float(d[k] @ np.linalg.solve(covariance[k], d[k]))
+    names = tuple(block.points.names[j] for j in index)
+    sigma = np.sqrt(np.diagonal(product, axis1=1, axis2=2))
+    told = Differences(
+        *(role, names, d, surveyed, sigma, stated, covariance, w, distance),
+        ellipses(product, policy.confidence),
+    )
+    if role == "check" and result.joint is not None and len(result.joint) == d.size:
+        # Their survey is independent from point to point.
+        whole = result.joint + block_diag(*survey)
+        told = replace(told, joint=joint_test(d, whole))
+        good = ~np.isin(names, told.suspected)
+        if good.any() and not good.all():
+            of_good = np.repeat(good, 3)
+            told = replace(told, rest=joint_test(d[good], whole[np.ix_(of_good, of_good)]))
+    return told
 
 
 @dataclass(frozen=True)

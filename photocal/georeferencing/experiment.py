@@ -18,25 +18,32 @@ from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.base.policy import policy
 from photocal.block.model import Block
 from photocal.geometry.camera import Camera
-from photocal.georeferencing.differences import (
+from photocal.georeferencing.comparison import (
     Differences,
     ExposureDifference,
     differences,
     exposure_difference,
     rms,
 )
-from photocal.georeferencing.local import in_local_frame, with_attitude_angles
 from photocal.georeferencing.methods import (
     Degradation,
     Method,
     checkable,
     degraded,
     ground_points,
+    in_local_frame,
     of_method,
+    with_attitude_angles,
     with_roles,
 )
-from photocal.georeferencing.prior_sigma import PriorRun, run_priors
-from photocal.georeferencing.support import Support, SupportRun, run_supports, support_of
+from photocal.georeferencing.prior_sigma import (
+    PriorRun,
+    Support,
+    SupportRun,
+    run_priors,
+    run_supports,
+    support_of,
+)
 
 Use = Literal["weighted", "fixed", "as-given"]
 # A name, and which points are control; every other ground point is a check point.

@@ -14,10 +14,16 @@ from photocal.base.arrays import as_plain, picked
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_folder, rows_text, write_json
 from photocal.findings.document import Section, table, text
-from photocal.georeferencing.differences import Differences, rms
+from photocal.georeferencing.comparison import Differences, rms
 from photocal.georeferencing.experiment import ExperimentOutcome, ExperimentRun, RunPair, WithoutControlPoint
-from photocal.georeferencing.prior_sigma import prior_plot, prior_record, prior_rows, prior_tables
-from photocal.georeferencing.support import support_rows, support_table
+from photocal.georeferencing.prior_sigma import (
+    prior_plot,
+    prior_record,
+    prior_rows,
+    prior_tables,
+    support_rows,
+    support_table,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -20,8 +20,7 @@ from photocal.findings.document import Paragraph, Piece, Remarks, Section, Table
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json
 from photocal.findings.verdict import Known, Verdict, judge, verdict_json, verdict_section
-from photocal.georeferencing.comparison import BlockCheck, Judged
-from photocal.georeferencing.differences import CRITICAL_W, Differences
+from photocal.georeferencing.comparison import CRITICAL_W, BlockCheck, Differences, Judged
 from photocal.georeferencing.findings import block_findings
 from photocal.hypotheses.findings import estimate_text
 from photocal.hypotheses.judged import Hypothesis

@@ -15,9 +15,9 @@ from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import block_frame, observed_pixels
 from photocal.findings.finding import Figure, Finding
 from photocal.geometry.frames import LocalFrame
+from photocal.geometry.localisation import Similarity, misses_of, similarity
 from photocal.geometry.oriented_images import OrientedImages, given_poses
 from photocal.geometry.rotation import angles_from_matrix
-from photocal.geometry.similarity import Similarity, misses_of, similarity
 from photocal.measurement.tie_adjustment import AdjustedTies
 from photocal.measurement.tie_block import LEAST_SPREAD, intersected, reprojection_errors, spread
 from photocal.measurement.tracks import Tracks

@@ -20,9 +20,9 @@ from photocal.block.model import Block, Images
 from photocal.block.network import block_frame, observed_plane
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import Camera
+from photocal.geometry.localisation import Similarity, aligned_similarity, misses_of, robust_similarity
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
-from photocal.geometry.similarity import Similarity, aligned_similarity, misses_of, robust_similarity
 from photocal.measurement.tie_block import POSITION_SIGMA_M, views_of, with_ties
 from photocal.measurement.tracks import Tracks
 

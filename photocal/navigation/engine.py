@@ -2,23 +2,302 @@
 
 The engine is RTKLIB 2.4.3 (Takasu and Yasuda 2009) by its programs `convbin` and `rnx2rtkp`, as Debian
 packages them. Its fork demo5 fixes more epochs and, on a rover among trees, 2 % of them wrongly.
+
+What the engine writes: positions, and direction and phase residual of each satellite.
 """
 
 import shutil
 import subprocess
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from photocal.base.arrays import Floats
-from photocal.base.errors import IllPosedError, ProgramMissingError
-from photocal.navigation.engine_output import (
-    EngineSolution,
-    SatelliteResiduals,
-    read_satellite_residuals,
-    read_solution,
-)
-from photocal.navigation.time import GpsTime
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import IllPosedError, InputMalformedError, ProgramMissingError
+from photocal.navigation.time import WEEK_NS, GpsTime, exact_ns
+from photocal.navigation.trajectory import Geodetic, Trajectory
+
+FIXED, FLOAT = 1, 2
+_LEAST_SIGMA_M = 1e-4
+_STATUS = {1: "fixed", 2: "float"}
+# What differences do not remove of orbits, troposphere and ionosphere: a millimetre per kilometre at quiet
+# times (Odijk 2002, chapter 3).
+PER_METRE = 1e-6
+# Antennas without calibration: phase centres agree to a millimetre or two at best.
+STATIC_FLOOR_M = np.array([0.001, 0.001, 0.002])
+
+
+@dataclass(frozen=True)
+class EngineSolution(Geodetic):
+    """Positions of one run of the engine.
+
+    lat_deg, lon_deg, height_m (n,): geodetic position, ellipsoidal height.
+    quality (n,): 1 fixed, 2 float, 5 single, as the engine numbers them.
+    satellites (n,): number used.
+    covariance_m2 (n, 3, 3): east, north, up, as the engine claims it.
+    age_s, ratio (n,): age of the base's observations; ratio test.
+    velocity_m_s (n, 3): east, north, up; NaN where the engine gave none.
+    """
+
+    time: GpsTime
+    lat_deg: Floats
+    lon_deg: Floats
+    height_m: Floats
+    quality: Integers
+    satellites: Integers
+    covariance_m2: Floats
+    age_s: Floats
+    ratio: Floats
+    velocity_m_s: Floats
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def sigma_m(self) -> Floats:
+        """Standard deviations (n, 3), east, north, up."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance_m2, axis1=1, axis2=2)))
+
+    def at(self, time: GpsTime, tolerance_ns: int = 20_000_000) -> Integers:
+        """Return the row for each instant, -1 where there is none."""
+        place = np.clip(np.searchsorted(self.time.ns, time.ns), 1, max(len(self) - 1, 1))
+        left = np.abs(self.time.ns[place - 1] - time.ns)
+        right = np.abs(self.time.ns[np.minimum(place, len(self) - 1)] - time.ns)
+        row = np.where(left <= right, place - 1, np.minimum(place, len(self) - 1))
+        near = np.minimum(left, right) <= tolerance_ns
+        return np.where(near, row, -1)
+
+
+def read_solution(path: Path) -> EngineSolution:
+    """Read a position file (geodetic, time as week and seconds)."""
+    # Columns of RTKLIB's position file before the velocities.
+    columns = 15
+    lines = [line.split() for line in path.read_text("latin-1").splitlines() if line and line[0] != "%"]
+    rows = [line for line in lines if len(line) >= columns]
+    if not rows:
+        raise IllPosedError(
+            "the engine found no position",
+            "check that ephemerides and observations are of the same time",
+            where=path.stem,
+        )
+    velocity = np.full((len(rows), 3), np.nan)
+    try:
+        week = np.array([int(row[0]) for row in rows], np.int64)
+        tow_ns = np.array([exact_ns(row[1]) for row in rows], np.int64)
+        table = np.array([[float(v) for v in row[2:columns]] for row in rows])
+        np.asarray_chkfinite(table[:, 5:11])
+        for number, row in enumerate(rows):
+            if len(row) >= columns + 3:
+                velocity[number] = [float(v) for v in row[columns : columns + 3]]
+    except (ValueError, OverflowError) as cause:
+        raise InputMalformedError(
+            f"is not a position file with times as week and seconds ({cause})",
+            "take one with GPS weeks and seconds (out-timeform = tow)",
+            where=path,
+        ) from cause
+    quality = table[:, 3].astype(np.int64)
+    sn, se, su, sne, seu, sun = table[:, 5:11].T
+    # The engine prints four decimals: a sigma of zero is one below them.
+    sn, se, su = (np.maximum(v, _LEAST_SIGMA_M) for v in (sn, se, su))
+    covariance = np.empty((len(rows), 3, 3))
+    covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 2, 2] = se**2, sn**2, su**2
+    # The engine prints the root of a covariance, with the covariance's sign.
+    for i, j, root in ((0, 1, sne), (0, 2, seu), (1, 2, sun)):
+        covariance[:, i, j] = covariance[:, j, i] = np.sign(root) * root**2
+    covariance = _possible(covariance, quality)
+    return EngineSolution(
+        GpsTime(week * WEEK_NS + tow_ns),
+        table[:, 0],
+        table[:, 1],
+        table[:, 2],
+        quality,
+        table[:, 4].astype(np.int64),
+        covariance,
+        table[:, 11],
+        table[:, 12],
+        velocity[:, [1, 0, 2]],
+    )
+
+
+def _possible(covariance: Floats, quality: Integers) -> Floats:
+    """Replace matrices that are no covariances by that of the nearest epoch of the same quality.
+
+    The engine loses digits when it fixes ambiguities: variances below zero are printed as 0, with
+    covariances beside them that no variances could have.
+    """
+    printed = np.diagonal(covariance, axis1=1, axis2=2).min(axis=1) > _LEAST_SIGMA_M**2
+    sound = printed & (np.linalg.eigvalsh(covariance)[:, 0] > _LEAST_SIGMA_M**2 / 100)
+    for value in np.unique(quality[~sound]):
+        lost, good = (np.flatnonzero((quality == value) & which) for which in (~sound, sound))
+        if not len(good):
+            # Nothing says how the errors go together; the printed sigmas are all there is.
+            covariance[lost] = covariance[lost] * np.eye(3)
+            continue
+        after = np.clip(np.searchsorted(good, lost), 1, max(len(good) - 1, 1))
+        left, right = good[after - 1], good[np.minimum(after, len(good) - 1)]
+        covariance[lost] = covariance[np.where(lost - left <= right - lost, left, right)]
+    return covariance
+
+
+@dataclass(frozen=True)
+class SatelliteResiduals:
+    """Satellites used by the engine, one row per epoch, satellite and frequency.
+
+    satellite: such as ``G05``.
+    frequency (n,): 1 or 2.
+    azimuth, elevation (n,): radians.
+    residual_m (n,): of the phase, double differenced: that of the reference satellite is 0.
+    """
+
+    time: GpsTime
+    satellite: NDArray[np.str_]
+    frequency: Integers
+    azimuth: Floats
+    elevation: Floats
+    residual_m: Floats
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+def read_satellite_residuals(path: Path) -> SatelliteResiduals:
+    """Read the satellites that were used from a status file (RTKLIB manual 2.4.2, appendix B.2)."""
+    least_fields = 12
+    rows: list[list[str]] = []
+    # A file that the engine did not write tells of none.
+    if path.exists():
+        with path.open(encoding="latin-1") as stream:
+            records = (line.split(",") for line in stream if line.startswith("$SAT"))
+            rows = [fields[1:9] for fields in records if len(fields) >= least_fields and fields[9] == "1"]
+    week, tow, satellite, frequency, azimuth, elevation, _, residual = (
+        zip(*rows, strict=True) if rows else [()] * 8
+    )
+    seconds = np.array(tow, np.float64)
+    ns = np.array(week, np.int64) * WEEK_NS + np.rint(seconds * 1e3).astype(np.int64) * 1_000_000
+    return SatelliteResiduals(
+        GpsTime(ns),
+        np.array(satellite, "U3"),
+        np.array(frequency, np.int64),
+        np.radians(np.array(azimuth, np.float64)),
+        np.radians(np.array(elevation, np.float64)),
+        np.array(residual, np.float64),
+    )
+
+
+def shift_by_zenith_delay(satellites: SatelliteResiduals) -> Floats:
+    """Return by how much positions move for each metre of zenith delay that is not taken into account."""
+    first = satellites.frequency == 1
+    epochs = np.unique(satellites.time.ns[first])
+    moved = []
+    most_epochs = 200
+    for epoch in epochs[:: max(len(epochs) // most_epochs, 1)].tolist():
+        rows = first & (satellites.time.ns == epoch)
+        up = np.sin(satellites.elevation[rows])
+        level = np.cos(satellites.elevation[rows])
+        azimuth = satellites.azimuth[rows]
+        system = np.array([name[0] for name in satellites.satellite[rows].tolist()])
+        clocks = [(system == letter).astype(float) for letter in np.unique(system)]
+        design = np.stack([-np.sin(azimuth) * level, -np.cos(azimuth) * level, -up, *clocks], axis=1)
+        if len(design) <= design.shape[1]:
+            continue
+        weight = 1 / (1 + 1 / up**2)
+        normal = design.T @ (design * weight[:, None])
+        moved.append(np.linalg.solve(normal, design.T @ (weight / up))[:3])
+    return np.median(moved, axis=0) if moved else np.full(3, np.nan)
+
+
+def correlation_time_s(satellites: SatelliteResiduals) -> float:
+    """Return how long errors of the phases last: the integral of their autocorrelation."""
+    # The mean over a time T of errors with the variance s^2 has the variance 2 s^2 t / T with this time t
+    # (Sokal 1997, eq. 2.20). Residuals are taken less the mean of their system and frequency at each epoch,
+    # which removes the reference satellite; what correlates the positions' errors is the same multipath.
+    epochs, at = np.unique(satellites.time.ns, return_inverse=True)
+    least_epochs = 30
+    if len(epochs) < least_epochs:
+        return float("nan")
+    table = _centred(satellites, at, len(epochs))
+    step = float(np.median(np.diff(epochs))) / 1e9
+    # Epochs a second apart tell enough, and take less time.
+    stride = max(round(1.0 / step), 1)
+    table, step = table[::stride], step * stride
+    known = np.isfinite(table)
+    filled = np.where(known, table, 0.0)
+    variance = float(np.sum(filled**2)) / max(int(known.sum()), 1)
+    if variance == 0:
+        return float("nan")
+    total = 0.5
+    longest_lag_s = 300.0
+    # Windows of several correlation times balance noise and what is cut off (Sokal 1997, section 3).
+    window = 5.0
+    for lag in range(1, min(len(table) // 3, int(longest_lag_s / step))):
+        together = int(np.sum(known[lag:] & known[:-lag]))
+        if not together:
+            break
+        total += float(np.sum(filled[lag:] * filled[:-lag])) / together / variance
+        if lag >= window * total:
+            break
+    return max(total, 0.5) * step
+
+
+def _centred(satellites: SatelliteResiduals, at: Integers, epochs: int) -> Floats:
+    """Return residuals by epoch and signal, less the mean of each system and frequency; NaN where none."""
+    signal = np.array([f"{s}{f}" for s, f in zip(satellites.satellite, satellites.frequency, strict=True)])
+    names, column = np.unique(signal, return_inverse=True)
+    table = np.full((epochs, len(names)), np.nan)
+    table[at, column] = satellites.residual_m
+    groups = np.array([name[0] + name[-1] for name in names.tolist()])
+    for group in np.unique(groups):
+        part = table[:, groups == group]
+        known = np.isfinite(part)
+        count = known.sum(axis=1, keepdims=True)
+        mean = np.where(known, part, 0.0).sum(axis=1, keepdims=True) / np.maximum(count, 1)
+        # Alone, or with one other, a satellite says nothing.
+        table[:, groups == group] = np.where(count > 2, part - mean, np.nan)
+    return table
+
+
+def static_position(forward: EngineSolution, combined: EngineSolution) -> EngineSolution:
+    """Return the last epoch of a static run, which contains all before it, with a realistic covariance.
+
+    The engine's sigmas of a long static run fall below a millimetre while its position still wanders with
+    multipath: the root mean square of the way that the estimates of both directions lie from it is added.
+    """
+    last = forward.rows(np.array([len(forward) - 1]))
+    steady = combined.rows(combined.quality == last.quality[0])
+    apart = steady.offsets(last.place[0])
+    wander = np.sqrt(np.mean(apart**2, axis=0)) if len(apart) else np.zeros(3)
+    spread = np.maximum(wander, STATIC_FLOOR_M)
+    return replace(last, covariance_m2=last.covariance_m2 + np.diag(spread**2))
+
+
+def in_order(solution: EngineSolution) -> EngineSolution:
+    """Return the epochs in the order of time, each once."""
+    _, first = np.unique(solution.time.ns, return_index=True)
+    return solution.rows(first)
+
+
+def trajectory_of(
+    solution: EngineSolution, velocity_sigma: float, base_m: Floats, velocity: Floats | None = None
+) -> Trajectory:
+    """Return the engine's positions as a trajectory."""
+    apart = PER_METRE * np.linalg.norm(solution.xyz_m - base_m, axis=1)
+    differential = 2
+    apart[solution.quality > differential] = 0.0
+    status = np.array([_STATUS.get(q, "single") for q in solution.quality.tolist()], "U6")
+    return Trajectory(
+        solution.time,
+        solution.lat_deg,
+        solution.lon_deg,
+        solution.height_m,
+        status,
+        solution.covariance_m2 + apart[:, None, None] ** 2 * np.eye(3),
+        np.full((len(solution), 3), np.nan) if velocity is None else velocity,
+        velocity_sigma,
+    )
+
 
 Mode = Literal["kinematic", "static", "single", "ppp-static"]
 Direction = Literal["forward", "backward", "combined"]

@@ -7,7 +7,7 @@ from scipy.ndimage import label
 
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.policy import policy
-from photocal.navigation.engine_output import FIXED, FLOAT, EngineSolution
+from photocal.navigation.engine import FIXED, FLOAT, EngineSolution
 from photocal.navigation.time import GpsTime
 
 # A claim of two runs to the same fix holds when they agree as well as two fixes do.

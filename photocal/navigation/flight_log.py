@@ -6,9 +6,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from acquire.log.arrays import arrays_of_log
-from acquire.log.reader import LoggedMessages, LogReader
-from acquire.log.records import Channel
+from acquire.log.chunk import Channel
+from acquire.log.reader import LoggedMessages, LogReader, arrays_of_log
 from drivers.frames import Wire
 from drivers.protocols import receiver_wires
 from photocal.base.errors import InputNotFoundError

@@ -13,8 +13,8 @@ from photocal.base.policy import policy
 from photocal.base.progress import Progress
 from photocal.block.table import read_wider_table
 from photocal.findings.finding import Finding, untested
+from photocal.geometry.localisation import similarity
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.geometry.similarity import similarity
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.picture_block import measure_images
 from photocal.navigation.exposures import Exposures, orientations

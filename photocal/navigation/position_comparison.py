@@ -12,8 +12,8 @@ from photocal.base.errors import IllPosedError
 from photocal.base.geodesy import enu_offsets
 from photocal.base.policy import policy
 from photocal.findings.finding import Finding, untested
+from photocal.geometry.localisation import similarity
 from photocal.geometry.rotation import skew
-from photocal.geometry.similarity import similarity
 from photocal.navigation.exposures import Exposures
 from photocal.navigation.rig import CameraOnBody
 

@@ -13,9 +13,12 @@ from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.base.geodesy import enu_axes, geocentric, geodetic
 from photocal.navigation.base_frame import BaseFrame
 from photocal.navigation.common_errors import CommonErrors, common_errors
-from photocal.navigation.engine import Direction, Mode, ProcessingOptions, Rtklib
-from photocal.navigation.engine_output import (
+from photocal.navigation.engine import (
+    Direction,
     EngineSolution,
+    Mode,
+    ProcessingOptions,
+    Rtklib,
     in_order,
     static_position,
     trajectory_of,

@@ -12,6 +12,7 @@ from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.base.time_scales import GPS_EPOCH_NS
 from photocal.geometry.realizations import realization
 from photocal.navigation.base_frame import BaseFrame, decimal_year
+from photocal.navigation.common_errors import parse_weather
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, parse_position
@@ -19,7 +20,6 @@ from photocal.navigation.precise_results import count_ephemerides, read_observat
 from photocal.navigation.receiver_recording import ReceiverRecording, pick, read_receivers, refuse_unusable
 from photocal.navigation.rinex_files import navigation_ready, now, observations_ready
 from photocal.navigation.time import GpsTime
-from photocal.navigation.troposphere import parse_weather
 from photocal.project import AirAtBase
 
 NAV_OF_BASE = "base"

@@ -13,8 +13,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, findings_of, plain
 from photocal.navigation.base_frame import BaseFrame
 from photocal.navigation.common_errors import common_text
-from photocal.navigation.engine import Rtklib
-from photocal.navigation.engine_output import FIXED
+from photocal.navigation.engine import FIXED, Rtklib
 from photocal.navigation.fix_validation import ValidatedFixes
 from photocal.navigation.ppk import PpkResult, options_for, process
 from photocal.navigation.ppk_figures import FIGURES

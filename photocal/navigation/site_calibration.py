@@ -12,7 +12,7 @@ from photocal.base.errors import ConfigurationError
 from photocal.base.files import write_json, write_rows
 from photocal.block.table import read_wider_table
 from photocal.findings.document import KeyValues, Paragraph, Piece, Remarks, Section, markdown, table, text
-from photocal.geometry.ground_scale import GroundScale, ground_scale
+from photocal.geometry.frames import GroundScale, ground_scale
 from photocal.geometry.localisation import CommonPoints, FittedPart, Localisation, localise
 
 COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "role")

@@ -1,22 +1,36 @@
-"""A control survey: static baselines and precise points computed, adjusted as a network."""
+"""A control survey: static baselines and precise points computed, adjusted as a network.
 
+The set-up file of a control survey: marks, sessions, how long and how they are observed.
+
+Marks of a survey in the frame and epoch of its system.
+"""
+
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from photocal.base.arrays import Floats, picked
-from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError
+from photocal.base.checked_toml import Table
+from photocal.base.errors import (
+    ConfigurationError,
+    IllPosedError,
+    InputMalformedError,
+    InputNotFoundError,
+    reading,
+)
 from photocal.base.geodesy import enu_axes, geocentric, geodetic
-from photocal.geometry.realizations import Realization
+from photocal.geometry.realizations import FrameShift, Realization, known_realization, realization
 from photocal.geometry.systems import degrees_outside
+from photocal.navigation.base_frame import BaseFrame, decimal_year
 from photocal.navigation.baseline_network import Baseline, GroundMark, NetworkSolution, adjust_baselines
-from photocal.navigation.engine import ProcessingOptions, Rtklib
-from photocal.navigation.engine_output import STATIC_FLOOR_M, in_order, trajectory_of
+from photocal.navigation.engine import STATIC_FLOOR_M, ProcessingOptions, Rtklib, in_order, trajectory_of
 from photocal.navigation.flight_log import FlightLog
-from photocal.navigation.ppk import Inputs, PpkResult, options_for, process, with_antennas
+from photocal.navigation.ppk import SYSTEMS, Inputs, PpkResult, options_for, process, with_antennas
 from photocal.navigation.ppk_inputs import converted
 from photocal.navigation.precise_results import (
     ObservationFile,
@@ -25,18 +39,194 @@ from photocal.navigation.precise_results import (
 )
 from photocal.navigation.receiver_recording import pick, read_receivers, refuse_unusable
 from photocal.navigation.rinex_files import navigation_ready, now, observations_ready
-from photocal.navigation.survey_frames import MovedMark, frame_of_orbits, frame_told, in_system
-from photocal.navigation.survey_setup import (
-    KnownMark,
-    MarkSession,
-    MeasuredBaseline,
-    PrecisePoint,
-    PublishedMark,
-    RequiredTime,
-    SurveySetup,
-)
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory
+from photocal.project import AirAtBase
+
+
+@dataclass(frozen=True)
+class MovedMark:
+    """Frame and epoch of a mark's coordinates, and those to which they were transformed.
+
+    moved: None where they stay: nobody tells a frame, or nothing known leads to that of the survey.
+    """
+
+    mark: str
+    source: Realization
+    target: Realization
+    moved: FrameShift | None
+
+    def as_json(self) -> dict[str, object]:
+        """Figures for JSON."""
+        plain = {"from": str(self.source), "to": str(self.target)}
+        return {"mark": self.mark, **(plain if self.moved is None else self.moved.as_json())}
+
+
+def frame_told(mark: str, text: str, epoch: float = math.nan) -> Realization | None:
+    """Frame of a known mark as a person tells it; None for none.
+
+    epoch: of its coordinates where the text has none, years.
+
+    raises ConfigurationError: for one that is not known; InputMalformedError: for one whose epoch is missing.
+    """
+    told = realization(text) if text else None
+    if told is not None and told.moves and np.isnan(told.epoch):
+        told = known_realization(told.frame, epoch) or told
+    if told is not None and told.moves and np.isnan(told.epoch):
+        raise InputMalformedError(
+            f"mark {mark}: coordinates in {told.frame} change with time and need an epoch",
+            f'write frame = "{told.frame}@2026.9" with the epoch in years',
+        )
+    return told
+
+
+def frame_of_orbits(products: tuple[Path, ...]) -> Realization | None:
+    """Frame of the first file of precise orbits (SP3) among products; None where none tells."""
+    for path in products:
+        with reading(path), path.open(encoding="latin-1") as stream:
+            line = stream.readline()
+        if line[:1] == "#" and line[1:2] in "abcd" and line[46:51].strip():
+            return known_realization(line[46:51].strip())
+    return None
+
+
+def in_system(
+    mark: GroundMark, source: Realization | None, crs: str | None, time: GpsTime | None = None
+) -> tuple[GroundMark, MovedMark | None]:
+    """Transform a mark to the frame of a system, with the uncertainty of the transformation.
+
+    time: of the observations, at whose epoch a precise position counts.
+    returns: the mark, and what was done; None where nothing is to be done.
+    """
+    if source is None or crs is None:
+        return mark, None
+    # A known mark has its epoch with it.
+    known = BaseFrame.of(mark.xyz_m, source, crs, source.epoch if time is None else decimal_year(time))
+    if known.target is None or known.source is None or known.source == known.target:
+        return mark, None
+    done = MovedMark(mark.name, known.source, known.target, known.moved)
+    if known.moved is None:
+        return mark, done
+    spread = mark.covariance_m2 + known.moved.sigma_m**2 * np.eye(3)
+    return replace(mark, xyz_m=mark.xyz_m + known.moved.shift_m, covariance_m2=spread), done
+
+
+class KnownMark(Table):
+    """A mark with a known position: degrees, ellipsoidal height, sigmas east, north, up (0: held).
+
+    frame: `FRAME[@EPOCH]` of it; empty: that of the survey's system.
+    """
+
+    name: str
+    lat_deg: float = Field(ge=-90, le=90)
+    lon_deg: float = Field(ge=-360, le=360)
+    height_m: float
+    sigma_m: tuple[float, float, float]
+    frame: str = ""
+
+
+class MarkSession(Table):
+    """A receiver on a mark; files relative to the set-up file.
+
+    rover: RINEX observations, or a flight log (MCAP) with raw frames.
+    nav: RINEX navigation files, beside the ephemerides that logs recorded.
+    products: precise orbits and clocks (SP3, CLK) that take the place of broadcast ones.
+    rover_antenna_m: height of the antenna reference point above the mark.
+    rover_antenna: type and radome in `antex`; empty: as the RINEX header names them.
+    """
+
+    name: str
+    rover: Path
+    rover_link: str = "rover"
+    nav: tuple[Path, ...] = ()
+    products: tuple[Path, ...] = ()
+    rover_antenna_m: float
+    rover_antenna: str = ""
+
+
+class MeasuredBaseline(MarkSession):
+    """A session between two marks, `start` of the base and `end` of the rover; base as rover."""
+
+    start: str
+    end: str
+    base: Path
+    base_link: str = "base"
+    base_antenna_m: float
+    base_antenna: str = ""
+
+
+class PrecisePoint(MarkSession):
+    """A mark that is positioned by itself with precise orbits and clocks."""
+
+    rover_link: str = "base"
+    products: tuple[Path, ...] = Field(min_length=1)
+
+
+class PublishedMark(Table):
+    """A mark whose position stands in a file: a SINEX of one or many sites, or the summary of CSRS-PPP.
+
+    site: its code in that file; empty: the mark's name.
+    frame: `FRAME[@EPOCH]`; empty: as the file tells it.
+    """
+
+    name: str
+    file: Path
+    site: str = ""
+    frame: str = ""
+
+
+class RequiredTime(Table):
+    """How long baselines of up to a length are observed, and whether with two frequencies."""
+
+    up_to_km: float = Field(gt=0)
+    minutes: float = Field(gt=0)
+    two_frequencies: bool = False
+
+
+class SurveySetup(Table):
+    """A survey; the weather is that of its time and place, None: the climate's; antex: antenna models.
+
+    outside_area: whether marks may lie outside the area of use of the system.
+    required_minutes: of each session; with `required` only of precise points.
+    required: times by the length of a baseline.
+    elevation_deg: satellites below are left out.
+    systems: letters of the satellite systems that may be used (G, R, E, J, C).
+    two_frequencies: whether the second one is used where both receivers have it.
+    """
+
+    crs: str | None = None
+    outside_area: bool = False
+    required_minutes: float | None = Field(default=None, gt=0)
+    required: tuple[RequiredTime, ...] = ()
+    elevation_deg: float = Field(default=15.0, ge=0, lt=90)
+    systems: str = Field(default=SYSTEMS, pattern=f"^[{SYSTEMS}]+$")
+    two_frequencies: bool = True
+    weather: AirAtBase | None = None
+    antex: Path | None = None
+    known: tuple[KnownMark, ...] = ()
+    station: tuple[PublishedMark, ...] = ()
+    ppp: tuple[PrecisePoint, ...] = ()
+    baseline: tuple[MeasuredBaseline, ...] = ()
+
+    @model_validator(mode="after")
+    def _has_times(self) -> Self:
+        if self.required_minutes is None and (not self.required or self.ppp):
+            what = "of the precise points" if self.required else "that each session is asked to last"
+            raise ValueError(f"required_minutes is missing: the time {what}")
+        return self
+
+    def required_of_points(self) -> RequiredTime | None:
+        """Return what a precise point is asked: it has no length."""
+        minutes = self.required_minutes
+        return None if minutes is None else RequiredTime(up_to_km=1.0, minutes=minutes)
+
+    def required_for(self, length_m: float) -> RequiredTime | None:
+        """Return what a baseline of a length is asked; None where the table of times ends before."""
+        if not self.required:
+            return self.required_of_points()
+        fitting = [row for row in self.required if length_m <= 1e3 * row.up_to_km]
+        return min(fitting, key=lambda row: row.up_to_km, default=None)
+
 
 _LOG = ".mcap"
 

@@ -12,10 +12,10 @@ from photocal.base.files import write_rows
 from photocal.base.geodesy import geodetic
 from photocal.base.policy import policy
 from photocal.findings.texts import Catalogue, catalogue
-from photocal.geometry.ground_scale import combined_factor, has_scale
+from photocal.geometry.frames import combined_factor, has_scale
 from photocal.navigation.baseline_network import NetworkSolution
 from photocal.navigation.exposure_files import in_frame
-from photocal.navigation.survey_frames import MovedMark
+from photocal.navigation.survey import MovedMark
 from photocal.navigation.trajectory import enu_axes_at
 
 COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "sXY", "sXZ", "sYZ", "role")

@@ -4,9 +4,8 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from photocal.analysis.components import Components
 from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
-from photocal.analysis.estimates import FTest
+from photocal.analysis.estimates import Components, FTest
 from photocal.analysis.outcome import Analysis, CameraAnalysis, Effect, Opinions
 from photocal.analysis.published import PublishedSet
 from photocal.base.arrays import Floats

@@ -26,8 +26,7 @@ from photocal.report.derived_figures import DerivedFigures, derived_figures, ver
 from photocal.report.ministry_rows import Context, entries, read_layout
 from photocal.report.sensor import farthest_corner, radial_profile
 from photocal.report.stored_analysis import AnalysedRun, certified_analysis, read_run
-from photocal.results.folder import read_json, result_json
-from photocal.results.origin import block_of_run, carry
+from photocal.results.folder import block_of_run, carry, read_json, result_json
 from photocal.results.result import Figures, Result
 
 SCHEMA = "photocal.certificate/1"

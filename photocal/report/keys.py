@@ -18,11 +18,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
-from photocal.base.checked_json import read_checked_json
+from photocal.base.checked_toml import read_checked_json
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
-from photocal.base.files import output_file, refusals
-from photocal.base.names import compared, plain_name
+from photocal.base.files import compared, output_file, plain_name, refusals
 from photocal.base.operating_system import is_private, lock, private_folder, settings_folder, sync_folder
 
 if TYPE_CHECKING:

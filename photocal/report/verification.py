@@ -20,9 +20,8 @@ from photocal.report.issue import FORMS, NAME, certified_result, plain_record, p
 from photocal.report.signing import SIGNATURE, STAMP
 from photocal.report.stored_analysis import AnalysedRun, read_run
 from photocal.results.adjusted import adjust_block
-from photocal.results.folder import RESULT
+from photocal.results.folder import CARRIED, RESULT, BlockSource, carry
 from photocal.results.more_tables import Wanted
-from photocal.results.origin import CARRIED, BlockSource, carry
 
 PAGES = FORMS[:2]
 # The pages are compared themselves.

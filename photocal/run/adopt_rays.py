@@ -26,9 +26,9 @@ from photocal.block.rig import Head
 from photocal.exchange.foreign_project import ForeignProject, without_weak_points
 from photocal.geometry.camera import Camera, among
 from photocal.geometry.frames import UNSTATED, ShiftedFrame
+from photocal.geometry.localisation import aligned_similarity, robust_similarity
 from photocal.geometry.oriented_images import OrientedImages, given_places, given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
-from photocal.geometry.similarity import aligned_similarity, robust_similarity
 from photocal.measurement.marks import (
     ControlMarks,
     in_map_system,

@@ -15,8 +15,7 @@ from photocal.geometry.camera import Camera
 from photocal.project import read_project
 from photocal.report.certificate_metadata import given_particulars
 from photocal.report.issue import NAME, read_record
-from photocal.results.folder import RESULT, cameras_of_json, heads_of_json, read_result
-from photocal.results.origin import CARRIED
+from photocal.results.folder import CARRIED, RESULT, cameras_of_json, heads_of_json, read_result
 from photocal.results.result import AdjustedHead
 
 if TYPE_CHECKING:
@@ -157,7 +156,7 @@ def exchanged(flights: Sequence[Calibrated], done: Callable[[], None] = lambda: 
     raises PhotocalError: when a flight has no positions, attitudes or check points.
     """
     from photocal.block.folder import read_block
-    from photocal.georeferencing.differences import differences
+    from photocal.georeferencing.comparison import differences
     from photocal.georeferencing.methods import of_method
     from photocal.run.georeferencing import calibrated_on_the_job
 

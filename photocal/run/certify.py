@@ -12,7 +12,7 @@ from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import FORMS, issue
 from photocal.report.keys import own_key
 from photocal.report.options import CertificateOptions
-from photocal.results.origin import CARRIED
+from photocal.results.folder import CARRIED
 from photocal.run.summary import flown_figures, stage_findings
 
 

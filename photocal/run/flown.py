@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from photocal.accuracy.laser import LaserShots, check_laser, laser_finding
+from photocal.accuracy.discrepancies import LaserShots, check_laser, laser_finding
 from photocal.accuracy.maps import reference_system
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, InputMalformedError
@@ -20,7 +20,7 @@ from photocal.block.motion import lines_of_places, strips, velocity_of_neighbour
 from photocal.block.network import local_positions
 from photocal.findings.texts import as_record
 from photocal.geometry.frames import LocalFrame
-from photocal.georeferencing.strip_control import control_by_strip
+from photocal.georeferencing.findings import control_by_strip
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.planning.flown import figures_of, flown_block, ground_through

@@ -73,8 +73,12 @@ def question_of(project: Project) -> Question:
 def calibrated_on_the_job(block: Block) -> tuple[Block, Calibration]:
     """Calibrate camera and mounting of a flight."""
     from photocal.georeferencing.direct import calibrate
-    from photocal.georeferencing.local import in_local_frame, with_attitude_angles
-    from photocal.georeferencing.methods import checkable, without_weak_images
+    from photocal.georeferencing.methods import (
+        checkable,
+        in_local_frame,
+        with_attitude_angles,
+        without_weak_images,
+    )
 
     local = with_attitude_angles(checkable(in_local_frame(block)))
     return local, calibrate(without_weak_images(local)[0])

@@ -13,8 +13,7 @@ from photocal.base.policy import policy
 from photocal.block.model import NO_POINTS, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.geometry.frames import system_of
-from photocal.geometry.grids import missing_grids
-from photocal.geometry.systems import MapSystem, at_place, called, heights_at, is_meant
+from photocal.geometry.systems import MapSystem, at_place, called, heights_at, is_meant, missing_grids
 from photocal.measurement.control_review import alone, heights_apart, listed, stray_points, twins
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.mark_frames import (

@@ -19,9 +19,8 @@ from photocal.block.network import ELLIPSOIDAL_M, block_frame
 from photocal.exchange.parts import PointEntry, object_points
 from photocal.exchange.source import read_json
 from photocal.geometry.frames import reference_frame, require_geoid, system_of
-from photocal.geometry.grids import missing_grids
 from photocal.geometry.oriented_images import given_places
-from photocal.geometry.systems import heights_at
+from photocal.geometry.systems import heights_at, missing_grids
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
 from photocal.measurement.marks import ControlMarks, in_map_system, read_marks

@@ -16,7 +16,7 @@ from photocal.report.certificate import overall
 from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import derived_figures
 from photocal.report.stored_analysis import AnalysedRun
-from photocal.results.origin import CARRIED, BlockSource, carry
+from photocal.results.folder import CARRIED, BlockSource, carry
 from photocal.run.summary import add_new, calibration_findings, causes_first, hidden_faults, same_matter
 
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")

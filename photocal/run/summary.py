@@ -21,8 +21,7 @@ from photocal.measurement.maker_camera import tag_finding
 from photocal.navigation.ppk_figures import FIGURES as PPK
 from photocal.navigation.ppk_figures import PpkFigures
 from photocal.report.stored_analysis import AnalysedRun, read_run
-from photocal.results.folder import RESULT, read_result
-from photocal.results.origin import changed_inputs
+from photocal.results.folder import RESULT, changed_inputs, read_result
 from photocal.results.result import Result
 from photocal.run.block import FINDINGS as BLOCK
 from photocal.run.control import FIGURES as CONTROL

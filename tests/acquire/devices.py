@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from acquire.simulate import devices
-from acquire.simulate.devices import ACCEPTED, acknowledged, ubx_message
+from acquire.simulate import playback
+from acquire.simulate.playback import ACCEPTED, acknowledged, ubx_message
 
 DIGICAM_CONTROL = 203
 VERSIONS = {
     7: ("1.00 (59842)", "00070000", ("PROTVER 14.00",)),
     8: ("EXT CORE 3.01 (111141)", "00080000", ("FWVER=HPG 1.43", "PROTVER=20.30", "MOD=NEO-M8P-2")),
-    9: devices.SimulatedReceiver.version,
+    9: playback.SimulatedReceiver.version,
 }
 _PVT_EVERY_S = 0.2
 _FRAGMENT_BYTES = 180
 
 
-class Autopilot(devices.Autopilot):
+class Autopilot(playback.Autopilot):
     """An autopilot that sends its own messages, takes pictures and corrections, and may refuse rates."""
 
     def __init__(
@@ -96,7 +96,7 @@ class Autopilot(devices.Autopilot):
         }
 
 
-class Receiver(devices.SimulatedReceiver):
+class Receiver(playback.SimulatedReceiver):
     """A receiver of generation 7, 8 or 9 that measures, and may refuse or forget what it is told."""
 
     def __init__(self, generation: int, *, refuses: bool = False, forgets: bool = False) -> None:

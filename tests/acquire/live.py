@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
-from acquire.log.records import MAGIC
+from acquire.log.chunk import MAGIC
 from acquire.log.replay import raw_frames
 
 Found = TypeVar("Found")

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.log.records import Channel, Payloads
+from acquire.log.chunk import Channel, Payloads
 from acquire.recording.configuration import read_configuration
 from acquire.recording.files import LogFiles, Notice
 from acquire.recording.log_file import WholeWrites

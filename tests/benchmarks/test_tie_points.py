@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from photocal.adjustment.adjust import adjust
 from photocal.block.network import assemble
 from photocal.geometry.camera import PARAMETERS
-from photocal.geometry.similarity import similarity
+from photocal.geometry.localisation import similarity
 from photocal.measurement.image_file import list_images
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.picture_block import measure_images

@@ -38,7 +38,7 @@ from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.geometry.camera import PARAMETERS
-from photocal.georeferencing.differences import differences
+from photocal.georeferencing.comparison import differences
 from photocal.georeferencing.methods import METHODS, Method, of_method
 from photocal.project import read_project
 from photocal.results.adjusted import given_exposures, given_points

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from photocal.adjustment.adjusted import fit, with_measurements
+from photocal.analysis.left_out import within_flight
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.search import search
-from photocal.analysis.within_flight import within_flight
 from tests.evidence.portions import outcomes
 from tests.photocal.analysis.aerial import LENS, Flight, fly
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from acquire.importing.recovery import recover
-from acquire.log.records import MAGIC
+from acquire.log.chunk import MAGIC
 from acquire.log.replay import raw_frames
 from acquire.recording.configuration import RecordingConfiguration
 from acquire.recording.recorder import record, source_of_link

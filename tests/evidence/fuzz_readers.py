@@ -32,7 +32,7 @@ from typer.testing import CliRunner
 
 from acquire.channels.summary import summarise
 from acquire.cli import app as acquire_app
-from acquire.importing.recording import identify, open_recording
+from acquire.importing.importer import identify, open_recording
 from acquire.importing.recovery import recover
 from acquire.recording.configuration import read_configuration
 from acquire.simulate.world.configuration import read_configuration as read_flight
@@ -48,7 +48,7 @@ from photocal.exchange.opensfm import read_reconstruction
 from photocal.exchange.reconstruction import of_block, of_result
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import read_grey
-from photocal.navigation.engine_output import read_solution
+from photocal.navigation.engine import read_solution
 from photocal.navigation.events import read_mrk
 from photocal.navigation.precise_results import read_observation_file
 from photocal.project import read_project

@@ -19,9 +19,8 @@ from scipy import stats
 
 from photocal.block.folder import read_block
 from photocal.georeferencing.causes import causes_of
-from photocal.georeferencing.differences import differences
-from photocal.georeferencing.local import with_attitude_angles
-from photocal.georeferencing.methods import METHODS, of_method
+from photocal.georeferencing.comparison import differences
+from photocal.georeferencing.methods import METHODS, of_method, with_attitude_angles
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 SEEDS = 100

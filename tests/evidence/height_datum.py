@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from photocal.adjustment.adjusted import fit
-from photocal.analysis.systematic_errors.camera_findings import of_datum
-from photocal.analysis.systematic_errors.findings import findings
+from photocal.analysis.systematic_errors.findings import findings, of_datum
 from photocal.analysis.systematic_errors.search import search
 from tests.photocal.analysis.aerial import Flight, fly
 

@@ -22,7 +22,7 @@ from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.georeferencing.causes import causes_of, mistyped_of, slips_of
-from photocal.georeferencing.local import with_attitude_angles
+from photocal.georeferencing.methods import with_attitude_angles
 from tests.photocal.georeferencing.flights import Plan, fly
 
 DRAWS = 100

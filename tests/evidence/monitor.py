@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
-from acquire.monitor.exposures import GRACE_NS
+from acquire.monitor.state import GRACE_NS
 from tests.acquire.monitor.field import NO_FIX, RTK_FIXED, Field, at_work
 
 ROUNDS = 20

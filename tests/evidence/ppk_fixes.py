@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.simulate.gnss.geometry import Antenna
-from acquire.simulate.gnss.session import simulate
+from acquire.simulate.gnss.constellation import Antenna
+from acquire.simulate.gnss.observations import simulate
 from acquire.simulate.gnss.settings import BASE, ROVER, ReceiverModel, SkySettings
 from acquire.simulate.gnss.streams import base_ubx, rover_ubx
 from photocal.base.geodesy import geocentric

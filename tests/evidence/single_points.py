@@ -20,10 +20,9 @@ import photocal
 from photocal.adjustment.adjusted import fit
 from photocal.base.errors import PhotocalError
 from photocal.block.network import assemble
-from photocal.georeferencing.differences import Differences, differences
+from photocal.georeferencing.comparison import Differences, differences
 from photocal.georeferencing.findings import by_single_points
-from photocal.georeferencing.local import in_local_frame, with_attitude_angles
-from photocal.georeferencing.methods import checkable, of_method
+from photocal.georeferencing.methods import checkable, in_local_frame, of_method, with_attitude_angles
 from photocal.hypotheses.adequacy import memory_of
 from tests.evidence.judging import fly
 from tests.evidence.portions import Case, outcomes

@@ -28,8 +28,8 @@ from photocal.block.network import assemble
 from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.micmac import read_micmac
 from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.localisation import similarity
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.geometry.similarity import similarity
 from photocal.measurement.image_file import list_images
 from photocal.measurement.image_pairs import footprints, select_pairs, stated_footprints
 from photocal.measurement.match_images import MatchingPlan, track_images

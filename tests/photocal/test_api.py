@@ -16,8 +16,8 @@ import pytest
 from matplotlib.figure import Figure
 
 import photocal
+from acquire.log.chunk import Channel
 from acquire.log.foxglove import location_fixes, schema
-from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
 from photocal.base.errors import ConfigurationError
 from photocal.base.options import Option, Options

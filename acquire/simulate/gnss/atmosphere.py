@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from acquire.simulate.gnss.geometry import AntennaTrack
+from acquire.simulate.gnss.constellation import AntennaTrack
 from acquire.simulate.gnss.settings import L1CA, LIGHT_M_S, SkySettings
 from photocal.base.arrays import Floats, Integers
 from photocal.base.time_scales import DAY_NS

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from acquire.simulate.gnss.ephemeris import Ephemeris
 from acquire.simulate.gnss.navigation_messages import GST_BEHIND_WEEKS, field, joined, octets
-from acquire.simulate.gnss.observations import SatelliteObservations
-from acquire.simulate.gnss.session import Session
+from acquire.simulate.gnss.observations import SatelliteObservations, Session
 from acquire.simulate.gnss.settings import GALILEO, GPS, LIGHT_M_S
 from photocal.base.time_scales import DAY_NS, GPS_EPOCH_NS, SECOND_NS, WEEK_S
 

@@ -4,11 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from acquire.simulate.gnss.geometry import Antenna
-from acquire.simulate.gnss.session import Session, simulate
+from acquire.simulate.gnss.constellation import Antenna
+from acquire.simulate.gnss.observations import Session, simulate
 from acquire.simulate.gnss.settings import BASE, ROVER, Faults, SkySettings
-from acquire.simulate.gnss.streams import Stream, base_rtcm, base_ubx, rover_ubx
-from acquire.simulate.gnss.time_marks import Pulses
+from acquire.simulate.gnss.streams import Pulses, Stream, base_rtcm, base_ubx, rover_ubx
 from acquire.simulate.world import telemetry
 from acquire.simulate.world.block_folder import telemetry_gap
 from acquire.simulate.world.configuration import SimulatedFault

@@ -10,8 +10,7 @@ from acquire.simulate.world.camera import TrueCamera
 from acquire.simulate.world.configuration import LEAP_S, FlightConfiguration, SimulatedFault
 from acquire.simulate.world.exposures import TrueExposures, TrueRig, make_exposures, make_rig
 from acquire.simulate.world.motion import Motion, legs, make_motion, strips
-from acquire.simulate.world.place import Place
-from acquire.simulate.world.terrain import HeightField, make_terrain
+from acquire.simulate.world.terrain import HeightField, Place, make_terrain
 from photocal.base.arrays import Floats, Integers, spread
 from photocal.base.errors import ConfigurationError
 

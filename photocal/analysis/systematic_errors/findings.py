@@ -1,20 +1,233 @@
-"""What a search found: worst first, each with its figure and its effect."""
+"""What a search found: worst first, each with its figure and its effect.
+
+Findings about cameras: extra parameters, assumed sigma, bias of c, significance, stability.
+"""
 
 import numpy as np
 from scipy import special
 
 from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.envelope import solve
+from photocal.adjustment.factored import covariance_column
 from photocal.adjustment.observations import mounting_equations
-from photocal.analysis.systematic_errors import camera_findings
-from photocal.analysis.systematic_errors.scatter import VarianceComponent
-from photocal.analysis.systematic_errors.search import Search
+from photocal.adjustment.removed import FEWEST
+from photocal.analysis.estimates import Estimates, f_test, scaled
+from photocal.analysis.systematic_errors.search import Search, VarianceComponent, camera_estimates
 from photocal.base.policy import policy
 from photocal.findings.finding import Figure, Finding, Severity, Size
-from photocal.hypotheses.findings import Slips, cause_findings, no_slips
+from photocal.geometry.camera import PARAMETERS
+from photocal.hypotheses.findings import Slips, asked_of, cause_findings, ground_effect, in_sigmas, no_slips
+
+
+def moved_with_c(fitted: AdjustedNetwork, camera: int, change: float) -> float:
+    """By how many standard deviations points move when c is another and all observations are kept."""
+    problem = fitted.factored.problem
+    active, columns = problem.layout.camera_columns[camera]
+    right = np.zeros(problem.layout.size)
+    right[columns[active == 0]] = 1.0
+    step, moved = covariance_column(fitted.factored, right, np.zeros_like(fitted.state.points))
+    variance = float(right @ step)
+    return in_sigmas(fitted, moved * (change / variance)) if variance > 0.0 else 0.0
+
+
+def of_datum(search: Search) -> list[Finding]:
+    """Say what hangs on the datum of the positions, where no test could tell that it is wrong."""
+    shift, solution = search.positions, search.first.solution
+    if shift is None or {"datum-shift", "antenna-height"} & {e.hypothesis.name for e in search.causes.errors}:
+        return []
+    height = {"stated_m": float(shift.stated[2])}
+    if not any(group.name == "control" for group in solution.groups):
+        return [Finding("heights-on-positions", "note", "positions", height)]
+    listed = []
+    for k, camera in enumerate(search.first.network.cameras):
+        sigma = float(np.sqrt(solution.camera_covariance[k, 0, 0]))
+        by_m = float(shift.c_by_shift[k, 2])
+        if not sigma > 0.0 or abs(by_m) * shift.stated[2] < policy.small_sigmas * sigma:
+            continue
+        by_cm: dict[str, Figure] = {
+            "camera": camera.id,
+            "by_cm": by_m / 100.0,
+            "unit": camera.unit,
+            "sigmas": abs(by_m) / 100.0 / sigma,
+            "told_m": float(shift.sigma[2]),
+            **height,
+        }
+        clause = "shift_told" if np.isfinite(shift.sigma[2]) else "shift_untold"
+        listed.append(Finding("c-on-positions", "note", camera.id, by_cm, (clause,)))
+    return listed
+
+
+def of_sigma(search: Search) -> list[Finding]:
+    """Describe the assumed standard deviation of the image coordinates, when it is wrong."""
+    sigma = search.sigma
+    ratio = sigma.found / sigma.assumed
+    if sigma.p_value >= policy.family_significance or abs(ratio - 1.0) < policy.wrong_sigma:
+        return []
+    camera = search.last.network.cameras[0]
+    scale, unit = (1000.0, "µm") if camera.unit == "mm" else (1.0, "px")
+    # Residuals are smaller than errors: their rms is the plain figure where too much was assumed, but only
+    # the one that counts the redundancy can show that too little was.
+    figure = sigma.rms if ratio < 1.0 else sigma.found
+    figures: dict[str, Figure] = {
+        "assumed": sigma.assumed * scale,
+        "found": figure * scale,
+        "by_redundancy": sigma.found * scale,
+        "lower": sigma.lower * scale,
+        "upper": sigma.upper * scale,
+        "unit": unit,
+    }
+    clauses = ["by_rms", "too_poor"] if ratio < 1.0 else ["by_redundancy", "too_good"]
+    if ratio < 1.0 and search.corrected:
+        clauses.append("unseen")
+    # Too large a standard deviation costs precision and harms nothing.
+    small = ratio < policy.badly_wrong_sigma
+    spread = (sigma.upper - sigma.lower) / 4.0 * scale
+    size = Size(figure * scale, unit, spread, 0.0, 0.0, figure / min(camera.pitch))
+    severity: Severity = "note" if small else "doubtful"
+    return [Finding("observation-sigma", severity, "image coordinates", figures, tuple(clauses), size)]
+
+
+def of_bias(search: Search) -> list[Finding]:
+    """Describe the bias of every c, when it is beyond its precision, formal and by images left out."""
+    if search.last is search.first:
+        return []
+    listed = []
+    for k, camera in enumerate(search.first.network.cameras):
+        before, after = search.first.solution.cameras[k, 0], search.last.solution.cameras[k, 0]
+        sigma = float(np.sqrt(search.first.solution.camera_covariance[k, 0, 0]))
+        bias = float(before - after)
+        cost = search.last.solution.camera_covariance[k, 0, 0] - sigma**2
+        # A bias below the spread over the images is lost in it (mean square error).
+        spread = float(np.nan_to_num(search.jackknife_last.standard_error[k, 0]))
+        unsure = max(policy.small_sigmas * sigma, spread, policy.times_999 * np.sqrt(max(cost, 0.0)))
+        if not sigma > 0.0 or abs(bias) < unsure:
+            continue
+        ground = ground_effect(search.first, k, bias)
+        moved = in_sigmas(search.first, search.last.state.points - search.first.state.points)
+        if moved < policy.small_move and abs(bias) < policy.small_share * abs(after):
+            continue
+        figures: dict[str, Figure] = {
+            "camera": camera.id,
+            "bias": bias,
+            "unit": camera.unit,
+            "before": float(before),
+            "after": float(after),
+            "formal": abs(bias) / sigma,
+            "ground_m": ground,
+            "share": abs(bias) / float(after),
+            "moved": moved,
+        }
+        size = Size(bias, camera.unit, sigma, bias, ground)
+        if moved < policy.small_move:
+            listed.append(
+                Finding("c-bias", "doubtful", camera.id, figures, ("at_this_distance", "only_carried"), size)
+            )
+        else:
+            listed.append(Finding("c-bias", "grave", camera.id, figures, ("at_this_distance",), size=size))
+    return listed
+
+
+def of_significance(search: Search) -> list[Finding]:
+    """Name the parameters whose significance changes with the corrections: it goes with its cause."""
+    if not search.corrected:
+        return []
+    listed = []
+    redundancy = search.last.solution.degrees_of_freedom
+    for k, camera in enumerate(search.first.network.cameras):
+        before, after = _honest(search.first, k), _honest(search.last, k)
+        for name in before.names:
+            was = f_test(before, (name,), redundancy, policy.parameter_significance)
+            now = f_test(after, (name,), redundancy, policy.parameter_significance)
+            if was.significant == now.significant:
+                continue
+            at = after.names.index(name)
+            figures: dict[str, Figure] = {
+                "camera": camera.id,
+                "parameter": name,
+                "value": float(after.values[at]),
+                "sigma": float(after.sigmas[at]),
+                "f": now.statistic,
+                "critical": now.critical,
+                "f_before": was.statistic,
+            }
+            clauses = ("no_longer" if was.significant else "only_then",)
+            size = Size(now.statistic, f"powers of {camera.unit}")
+            listed.append(Finding("significance", "note", camera.id, figures, clauses, size))
+    return listed
+
+
+def of_jackknife(search: Search) -> list[Finding]:
+    """Describe parameters that depend on single images, and images without which nothing is determined."""
+    listed = []
+    for k, camera in enumerate(search.first.network.cameras):
+        listed += _indispensable(search, k)
+        formal = np.sqrt(np.diag(search.first.solution.camera_covariance[k])) * np.sqrt(_factor(search.first))
+        before = search.jackknife_first.standard_error[k]
+        ratio = np.divide(before, formal, out=np.zeros_like(before), where=formal > 0.0)
+        if not np.any(ratio > policy.unstable):
+            continue
+        worst = 0 if ratio[0] > policy.unstable else int(np.nanargmax(ratio))
+        figures: dict[str, Figure] = {
+            "camera": camera.id,
+            "parameter": PARAMETERS[worst],
+            "error": float(before[worst]),
+            "unit": camera.unit,
+            "corrected": float(search.jackknife_last.standard_error[k][worst]),
+            "formal": float(formal[worst]),
+        }
+        effect = float(before[0]) if worst == 0 else None
+        clauses = ["once_corrected" if search.corrected else "as_adjusted"]
+        # Whoever carries a parameter is told the larger standard deviation; heights of this block are not.
+        ground: float | None = None
+        severity: Severity = "note"
+        if effect is not None:
+            ground = ground_effect(search.first, k, effect)
+            moved = moved_with_c(search.first, k, effect)
+            figures |= {"ground_m": ground, "moved": moved}
+            clauses.append("only_carried" if moved < policy.small_move else "heights_hang")
+            if moved >= policy.small_move and ground >= asked_of(search.first).ground_m:
+                severity = "doubtful"
+        size = Size(float(before[worst]), camera.unit, None, effect, ground)
+        listed.append(Finding("jackknife", severity, camera.id, figures, tuple(clauses), size))
+    return listed
+
+
+def _indispensable(search: Search, k: int) -> list[Finding]:
+    """Name images of a camera that no other image checks, where too few for the sandwich are left."""
+    network, camera = search.first.network, search.first.network.cameras[k]
+    own = [name for name, at in zip(network.image_names, network.exposures.camera, strict=True) if at == k]
+    needed = [name for name in own if name in search.jackknife_first.not_possible]
+    if not needed or len(own) - len(camera.free) >= FEWEST or not camera.free:
+        return []
+    # Where the others can be left out, what that does to c is told by itself.
+    unknown = bool(np.isnan(search.jackknife_first.standard_error[k, 0]))
+    figures: dict[str, Figure] = {"camera": camera.id, "names": tuple(needed)}
+    return [Finding("image-needed", "doubtful" if unknown else "note", camera.id, figures)]
+
+
+def _factor(fitted: AdjustedNetwork) -> float:
+    """Give the variance factor for judging: a posteriori, but never below 1."""
+    return max(1.0, fitted.solution.variance_factor)
+
+
+def _honest(fitted: AdjustedNetwork, camera: int) -> Estimates:
+    return scaled(camera_estimates(fitted, camera), _factor(fitted))
+
+
+def one_angle_photos(fitted: AdjustedNetwork) -> list[Finding]:
+    """Name the photos whose omega and kappa are one angle, because phi is near 90 degrees."""
+    # The third row of a rotation begins with the sine of phi.
+    steep = np.abs(fitted.state.rotation[:, 2, 0])
+    at = np.flatnonzero(steep > policy.one_angle)
+    if not len(at):
+        return []
+    names = tuple(fitted.network.image_names[k] for k in at)
+    apart = float(np.degrees(np.arccos(steep[at].max())))
+    return [Finding("one-angle-photos", "note", ", ".join(names), {"images": names, "apart_deg": apart})]
+
 
 # Places in the flight at which a head is tried to have moved, exposures that must lie before and after.
-PLACES, FEWEST = 16, 3
+PLACES, FEWEST_PAIRS = 16, 3
 
 
 def of_stated(search: Search) -> list[Finding]:
@@ -151,9 +364,9 @@ def of_heads(fitted: AdjustedNetwork) -> list[Finding]:
     for k in np.unique(head[rig.second]).tolist():
         pairs = np.flatnonzero(head[rig.second] == k)
         pairs = pairs[np.argsort(moment[pairs], kind="stable")]
-        if len(pairs) < 2 * FEWEST:
+        if len(pairs) < 2 * FEWEST_PAIRS:
             continue
-        starts = np.unique(np.linspace(FEWEST, len(pairs) - FEWEST, PLACES).astype(np.int64))
+        starts = np.unique(np.linspace(FEWEST_PAIRS, len(pairs) - FEWEST_PAIRS, PLACES).astype(np.int64))
         for start in starts.tolist():
             later = pairs[start:]
             # Rows of their relations, by component: three turns, then three shifts.
@@ -203,10 +416,10 @@ def findings(search: Search, slips: Slips = no_slips) -> tuple[Finding, ...]:
     slips: what names the slips of the pen of a control point.
     """
     causes = cause_findings(search.causes, slips)
-    listed = camera_findings.of_sigma(search)
-    listed += camera_findings.of_bias(search)
-    listed += camera_findings.of_significance(search)
-    listed += camera_findings.of_jackknife(search)
+    listed = of_sigma(search)
+    listed += of_bias(search)
+    listed += of_significance(search)
+    listed += of_jackknife(search)
     listed += of_stated(search)
     listed += of_groups(search)
     listed += of_heads(search.last)

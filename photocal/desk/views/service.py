@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from photocal.base.checked_toml import read_tables
 from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
-from photocal.base.web_answers import checked
+from photocal.base.web import checked
 from photocal.desk.session import Desk
 from photocal.desk.views import overview, pictures
 from photocal.desk.views.ground import Ground, ground_of, ground_tile

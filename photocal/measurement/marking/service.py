@@ -19,8 +19,7 @@ from starlette.routing import Route
 from photocal.base.arrays import Floats
 from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
-from photocal.base.web import packaged
-from photocal.base.web_answers import checked, doing, refusal, telling
+from photocal.base.web import checked, doing, packaged, refusal, telling
 from photocal.block.model import ROLES
 from photocal.exchange.parts import Mark
 from photocal.measurement.image_file import Grey, read_grey

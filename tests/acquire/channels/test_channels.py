@@ -14,10 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from acquire.channels.decoded import Decoder
-from acquire.channels.receiver import ReceiverDecoder
-from acquire.channels.receiver_time import ReceiverClock
+from acquire.channels.receiver import ReceiverClock, ReceiverDecoder
 from acquire.channels.vehicle import VehicleDecoder
-from acquire.log.records import Channel
+from acquire.log.chunk import Channel
 from drivers import nmea
 from drivers.frames import GNSS, Batch, Framer, StreamFramer, Wire
 from drivers.mavlink.decode import encode

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from acquire.channels.mounting import NAMES, mounting_of
 from acquire.channels.vehicle import VehicleDecoder
 from acquire.cli import app
-from acquire.recording import vehicle_dialogue
+from acquire.recording import dialogues
 from acquire.simulate.hardware import on_udp
 from drivers.frames import StreamFramer, Wire
 from drivers.mavlink.dialect import ardupilotmega
@@ -27,7 +27,7 @@ from tests.acquire.scripted import configured, messages, run, said
 def test_the_recorder_reads_what_the_vehicle_knows_of_its_mounting(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(vehicle_dialogue, "_PARAMETER_EVERY_S", 0.01)
+    monkeypatch.setattr(dialogues, "_PARAMETER_EVERY_S", 0.01)
     port = free_port()
     antenna = {"GPS1_POS_X": 0.12, "GPS1_POS_Y": -0.05, "GPS1_POS_Z": -0.31}
     autopilot = Autopilot(1_777_626_000_000_000, parameters=antenna)

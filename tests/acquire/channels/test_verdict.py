@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from acquire.channels.verdict import verdict_on
+from acquire.channels.summary import verdict_on
 
 
 def kind(name: str, longest_gap_s: float = 0.2) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from mcap.stream_reader import StreamReader
 
 from acquire.importing.importer import import_recordings
 from acquire.importing.recovery import recover
-from acquire.log.records import Channel
+from acquire.log.chunk import Channel
 from acquire.log.writer import LogWriter
 from photocal.base.errors import InputMalformedError
 

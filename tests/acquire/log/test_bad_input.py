@@ -17,8 +17,8 @@ import zstandard
 from mcap.records import Chunk
 
 from acquire.importing.importer import import_recordings
+from acquire.log.chunk import Channel, Schema, encoded
 from acquire.log.reader import LogReader
-from acquire.log.records import Channel, Schema, encoded
 from acquire.log.writer import LogWriter
 from photocal.base.errors import InputMalformedError
 

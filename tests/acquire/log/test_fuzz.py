@@ -13,8 +13,8 @@ import pytest
 from acquire.channels.layouts import EXPOSURE, GNSS_STATUS
 from acquire.channels.summary import summarise
 from acquire.importing.recovery import recover
+from acquire.log.chunk import ARRIVED_ENCODING, Channel
 from acquire.log.reader import LogReader
-from acquire.log.records import ARRIVED_ENCODING, Channel
 from acquire.log.replay import links_of
 from acquire.log.writer import LogWriter
 from acquire.monitor.reducer import state_after

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
 
+from acquire.log.chunk import Channel, Schema
 from acquire.log.reader import LogReader
-from acquire.log.records import Channel, Schema
 from acquire.log.writer import LogWriter
 from photocal.base.errors import InputMalformedError, InputNotFoundError
 

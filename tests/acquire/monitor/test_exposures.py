@@ -7,7 +7,7 @@ from functools import reduce
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquire.monitor.exposures import (
+from acquire.monitor.state import (
     GRACE_NS,
     CountedPictures,
     Trigger,

@@ -19,8 +19,8 @@ from rich.console import Console
 
 from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH, STATION
 from acquire.importing.importer import import_recordings
+from acquire.log.chunk import Channel
 from acquire.log.reader import LoggedMessages, LogReader
-from acquire.log.records import Channel
 from acquire.monitor.reducer import state_after
 from acquire.monitor.state import LONGEST, Battery, ComputerState, RecordingState, Track, extended, place_at
 from acquire.monitor.terminal import render

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquire.log.records import MAGIC, Channel
+from acquire.log.chunk import MAGIC, Channel
 from acquire.log.writer import LogWriter
 from acquire.monitor.state import RecordingState
 from acquire.monitor.tail import Tail, follow, tail_of

@@ -10,14 +10,15 @@ import pytest
 from pyproj import Geod
 from rich.console import Console
 
-from acquire.monitor.exposures import CountedPictures, Trigger
 from acquire.monitor.state import (
     Battery,
     ComputerState,
+    CountedPictures,
     LinkState,
     ReceiverState,
     RecordingState,
     Track,
+    Trigger,
     raised,
 )
 from acquire.monitor.terminal import braille_map, metres, render, round_step

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from acquire.importing.recovery import recover
-from acquire.log.records import MAGIC
+from acquire.log.chunk import MAGIC
 from acquire.log.replay import raw_frames
 from acquire.recording.configuration import RecordingConfiguration
 from acquire.recording.files import LogFiles, RotationLimits

@@ -13,8 +13,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as tables
 
 from acquire.recording.configuration import LinkConfiguration
+from acquire.recording.dialogues import VehicleDialogue
 from acquire.recording.recorder import source_of_link
-from acquire.recording.vehicle_dialogue import VehicleDialogue
 from acquire.simulate.hardware import on_pty, on_udp
 from acquire.transports.sources import Source
 from drivers import rtcm3, ubx

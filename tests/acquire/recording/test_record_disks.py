@@ -14,12 +14,11 @@ import pytest
 from mcap.reader import make_reader
 
 from acquire.importing.recovery import recover
+from acquire.log.chunk import Channel, Schema
 from acquire.log.reader import LogReader
-from acquire.log.records import Channel, Schema
 from acquire.log.writer import LogWriter
-from acquire.recording.files import LogFiles, RotationLimits
+from acquire.recording.files import LogFiles, RotationLimits, worth
 from acquire.recording.log_file import WholeWrites
-from acquire.recording.worth import worth
 from photocal.base.errors import OutputError
 from tests.acquire.live import until
 from tests.acquire.scripted import messages

@@ -21,7 +21,7 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as tables
 
-from acquire.log.records import MAGIC
+from acquire.log.chunk import MAGIC
 from drivers import rtcm3
 from tests.acquire.live import Process, frames_in, free_port, is_bound, until
 from tests.acquire.recording.undisturbed import GoodLink, configured, kept_in, recording, stopped

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from photocal.accuracy.laser import LASER_M, LASER_SHARE, LaserCheck, LaserShots, check_laser, laser_finding
+from photocal.accuracy.discrepancies import (
+    LASER_M,
+    LASER_SHARE,
+    LaserCheck,
+    LaserShots,
+    check_laser,
+    laser_finding,
+)
 from photocal.findings.texts import catalogue, finding_text, plain
 
 Floats = NDArray[np.float64]

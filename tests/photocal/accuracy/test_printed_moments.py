@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photocal.accuracy.printed_moments import read_moments
+from photocal.accuracy.output import read_moments
 from tests.photocal.conftest import Answer
 
 ASKED = ("--standard", "decree-89817", "--scale", "1:1000", "--interval", "1", "--json")

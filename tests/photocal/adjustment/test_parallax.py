@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from photocal.adjustment.parallax import determined
+from photocal.adjustment.adjusted import determined
 from tests.photocal.rigs import flight
 
 

@@ -26,8 +26,7 @@ from photocal.cli import app
 from photocal.geometry.camera import PARAMETERS
 from photocal.report.stored_analysis import read_run
 from photocal.results.adjusted import adjust_block
-from photocal.results.folder import read_result
-from photocal.results.origin import block_of_run
+from photocal.results.folder import block_of_run, read_result
 
 
 @pytest.fixture(scope="module")

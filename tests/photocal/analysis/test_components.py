@@ -10,9 +10,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from photocal.analysis.components import Proposal, principal_components, propose_removal
 from photocal.analysis.correlation import strong_correlations
-from photocal.analysis.estimates import Estimates, from_sigmas, without
+from photocal.analysis.estimates import (
+    Estimates,
+    Proposal,
+    from_sigmas,
+    principal_components,
+    propose_removal,
+    without,
+)
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError
 from photocal.cli import app

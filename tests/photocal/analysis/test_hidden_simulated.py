@@ -10,11 +10,11 @@ from scipy import stats
 
 from photocal.adjustment.adjusted import fit, with_measurements, with_sigmas, without_images
 from photocal.adjustment.network import Relations
+from photocal.analysis.left_out import within_flight
 from photocal.analysis.robust import jackknife
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.search import search
 from photocal.analysis.systematic_errors.shifts import joint_shift
-from photocal.analysis.within_flight import within_flight
 from photocal.base.arrays import Floats
 from photocal.findings.finding import Finding
 from photocal.hypotheses.causes import Candidates, Cause, candidates

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from photocal.analysis.stability.camera_file import read_camera_file
-from photocal.analysis.stability.joint import _together, joint_comparison, joint_text
+from photocal.analysis.stability.compared import _together, joint_comparison, joint_text
 from photocal.analysis.stability.methods import sensor_grid
 from photocal.geometry.camera import PARAMETERS, Camera
 

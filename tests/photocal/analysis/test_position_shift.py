@@ -10,8 +10,7 @@ import pytest
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.adjusted import fit
 from photocal.adjustment.mounting import SHIFT as COLUMNS
-from photocal.analysis.systematic_errors.camera_findings import of_datum
-from photocal.analysis.systematic_errors.findings import findings
+from photocal.analysis.systematic_errors.findings import findings, of_datum
 from photocal.analysis.systematic_errors.search import search
 from photocal.analysis.systematic_errors.shifts import position_shift
 from tests.photocal.analysis.aerial import Flight, fly

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from photocal.analysis.systematic_errors.scatter import (
+from photocal.analysis.systematic_errors.search import (
     assumed_sigma,
     grid_shape,
     residual_map,

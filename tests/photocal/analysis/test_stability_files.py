@@ -15,8 +15,7 @@ from typer.testing import CliRunner
 from photocal.analysis.stability.camera_file import read_camera_file
 from photocal.analysis.stability.comparison import compare
 from photocal.analysis.stability.methods import ResectionGround, methods, sensor_grid
-from photocal.analysis.stability.parameter_pictures import without_term
-from photocal.analysis.stability.pictures import displacements
+from photocal.analysis.stability.pictures import displacements, without_term
 from photocal.base.errors import (
     ConfigurationError,
     InputNotFoundError,

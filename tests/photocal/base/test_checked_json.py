@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from photocal.base.checked_json import read_checked_json
+from photocal.base.checked_toml import read_checked_json
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from photocal.base.names import compared, one_line, plain_name
+from photocal.base.files import compared, one_line, plain_name
 
 
 @pytest.mark.parametrize(

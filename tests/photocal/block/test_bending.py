@@ -13,9 +13,9 @@ from scipy.integrate import quad
 import photocal
 from photocal.base.arrays import Floats
 from photocal.base.errors import PhotocalError
-from photocal.block.bending import RADIUS_M, apparent_rise
 from photocal.block.folder import read_block
 from photocal.block.model import Block
+from photocal.block.network import RADIUS_M, apparent_rise
 from photocal.block.writer import write_block
 
 

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from acquire.log.records import MAGIC
+from acquire.log.chunk import MAGIC
 from tests.photocal.desk.client import Client, opened
 
 MISSION = "QGC WPL 110\n0\t1\t0\t16\t0\t0\t0\t0\t47.5\t8.5\t30\t1\n" + "".join(

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import ConfigurationError
-from photocal.geometry.frames import reference_frame
-from photocal.geometry.ground_scale import combined_factor, ground_scale
+from photocal.geometry.frames import combined_factor, ground_scale, reference_frame
 
 # UTM of zone 18 on Clarke's ellipsoid of 1866, as in the example of Snyder.
 CLARKE_18 = "+proj=utm +zone=18 +ellps=clrk66 +type=crs"

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import IllPosedError
-from photocal.geometry.localisation import CommonPoints, localise
-from photocal.geometry.similarity import similarity
+from photocal.geometry.localisation import CommonPoints, localise, similarity
 
 MAP = np.array([
     [677_000.0, 7_184_000.0, 900.0], [677_800.0, 7_184_100.0, 912.0], [677_700.0, 7_184_900.0, 940.0],

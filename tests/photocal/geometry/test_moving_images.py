@@ -15,8 +15,7 @@ from photocal.block.writer import write_block
 from photocal.exchange.reconstruction import of_result
 from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 from photocal.geometry.oriented_images import OrientedImages, oriented_images
-from photocal.georeferencing.direct import direct_orientation
-from photocal.georeferencing.space_intersection import intersect_points
+from photocal.georeferencing.direct import direct_orientation, intersect_points
 from photocal.products.kernels import Poses, look_up
 from photocal.products.oriented import lens_tables
 from photocal.results.adjusted import adjust_network

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from photocal.geometry.relative_orientation import RelativeOrientation, relative_orientations
+from photocal.geometry.resection import RelativeOrientation, relative_orientations
 from photocal.geometry.rotation import matrix_from_angles
 from tests.photocal import networks
 

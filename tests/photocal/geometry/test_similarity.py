@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from photocal.geometry.similarity import similarity
+from photocal.geometry.localisation import similarity
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 12), st.floats(1e-3, 1e3))

@@ -14,10 +14,9 @@ from photocal.adjustment.mounting import STRIPS
 from photocal.base.errors import ConfigurationError
 from photocal.block.folder import read_block
 from photocal.block.model import Block
-from photocal.georeferencing.differences import differences
+from photocal.georeferencing.comparison import differences
 from photocal.georeferencing.direct import Calibration, calibrate
-from photocal.georeferencing.local import with_attitude_angles
-from photocal.georeferencing.methods import of_method
+from photocal.georeferencing.methods import of_method, with_attitude_angles
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 SEEDS = 8

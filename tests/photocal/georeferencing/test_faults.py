@@ -19,8 +19,7 @@ from photocal.geometry.rotation import matrix_from_angles
 from photocal.georeferencing.causes import Mistyped, causes_of, mistyped_of, slips_of
 from photocal.georeferencing.comparison import check_block
 from photocal.georeferencing.findings import block_findings
-from photocal.georeferencing.local import with_attitude_angles
-from photocal.georeferencing.methods import with_roles
+from photocal.georeferencing.methods import with_attitude_angles, with_roles
 from photocal.hypotheses.control import contradicting, slips
 from photocal.hypotheses.search import SystematicErrors
 from tests.photocal.findings.english import english

@@ -12,11 +12,9 @@ from scipy import stats
 import photocal
 from photocal.accuracy.standard import Question
 from photocal.block.model import Block
-from photocal.georeferencing.comparison import BlockCheck, check_block
-from photocal.georeferencing.differences import differences
+from photocal.georeferencing.comparison import BlockCheck, check_block, differences
 from photocal.georeferencing.findings import block_findings
-from photocal.georeferencing.local import with_attitude_angles
-from photocal.georeferencing.methods import Degradation, of_method
+from photocal.georeferencing.methods import Degradation, of_method, with_attitude_angles
 from photocal.georeferencing.output import to_text
 from tests.evidence.judging import chance, fly, judged
 from tests.independent.detectable import noncentrality

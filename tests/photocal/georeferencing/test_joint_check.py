@@ -9,9 +9,8 @@ import pytest
 from scipy import stats
 
 from photocal.block.folder import read_block
-from photocal.georeferencing.differences import differences, joint_test
-from photocal.georeferencing.local import with_attitude_angles
-from photocal.georeferencing.methods import of_method
+from photocal.georeferencing.comparison import differences, joint_test
+from photocal.georeferencing.methods import of_method, with_attitude_angles
 from tests.photocal.georeferencing.flights import Plan, fly
 
 

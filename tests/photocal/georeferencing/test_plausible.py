@@ -11,7 +11,7 @@ from pyproj import Transformer
 
 from photocal.block.folder import read_block
 from photocal.block.model import Block
-from photocal.georeferencing.ground_mistakes import ground_findings
+from photocal.georeferencing.causes import ground_findings
 from tests.photocal.findings.english import english
 from tests.photocal.georeferencing.flights import Plan, fly
 

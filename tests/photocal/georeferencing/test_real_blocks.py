@@ -12,8 +12,7 @@ from photocal.accuracy.standard import Question
 from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.micmac import read_micmac
 from photocal.exchange.photomodeler import block_from_export, read_control, read_export
-from photocal.georeferencing.comparison import check_block
-from photocal.georeferencing.differences import differences
+from photocal.georeferencing.comparison import check_block, differences
 from photocal.georeferencing.methods import Degradation, of_method, with_roles
 from tests.photocal.blocks import with_positions
 

@@ -13,10 +13,9 @@ from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_text
-from photocal.georeferencing.causes import causes_of
+from photocal.georeferencing.causes import Separation, causes_of
 from photocal.georeferencing.findings import separation_findings
-from photocal.georeferencing.local import with_attitude_angles
-from photocal.georeferencing.separation import Separation
+from photocal.georeferencing.methods import with_attitude_angles
 from photocal.hypotheses.findings import fall_of, named
 from photocal.hypotheses.judged import Estimate, Hypothesis, Stated, moved_surely
 from photocal.hypotheses.search import SystematicErrors

@@ -12,9 +12,15 @@ from acquire.simulate.world.configuration import read_configuration
 from acquire.simulate.world.site import simulate_flight
 from photocal.base.errors import IllPosedError
 from photocal.block.folder import read_block
-from photocal.georeferencing.differences import differences
-from photocal.georeferencing.local import in_local_frame, with_attitude_angles
-from photocal.georeferencing.methods import METHODS, Method, checkable, of_method
+from photocal.georeferencing.comparison import differences
+from photocal.georeferencing.methods import (
+    METHODS,
+    Method,
+    checkable,
+    in_local_frame,
+    of_method,
+    with_attitude_angles,
+)
 from tests.photocal.georeferencing.flights import Plan, fly
 from tests.simulated import PLANS
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from photocal.navigation.engine_output import EngineSolution
+from photocal.navigation.engine import EngineSolution
 from photocal.navigation.ppk import between_directions
 from photocal.navigation.time import GpsTime
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photocal.navigation.engine_output import read_solution
+from photocal.navigation.engine import read_solution
 
 # week, seconds, lat, lon, height, quality, satellites, sdn, sde, sdu, sdne, sdeu, sdun, age, ratio
 _ROW = "2371 {t}.0 -25.4 -49.2 913.8 {q} 13 {sn} {se} 0.0103 {sne} 0.0013 0.0031 0.00 18.4"

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from acquire.log.chunk import Channel, Schema
 from acquire.log.reader import LoggedMessages
-from acquire.log.records import Channel, Schema
 from drivers.receiver import TimeMarks
 from drivers.ubx.decode import TIM_TM2, layout
 from drivers.ubx.decode import time_marks as edges_of

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from photocal.navigation.engine_output import FIXED, FLOAT, EngineSolution
+from photocal.navigation.engine import FIXED, FLOAT, EngineSolution
 from photocal.navigation.fix_validation import judge
 from photocal.navigation.time import GpsTime
 

@@ -80,4 +80,4 @@ def test_time_marks_are_decoded_in_one_place() -> None:
             texts = {n.value for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Constant)}
             if texts & {"towMsR", "towSubMsR", "towMs", "wnR"}:
                 naming.add(path.relative_to(ROOT).as_posix())
-    assert naming <= {"drivers/ubx/decode.py", "acquire/simulate/gnss/time_marks.py"}
+    assert naming <= {"drivers/ubx/decode.py", "acquire/simulate/gnss/streams.py"}

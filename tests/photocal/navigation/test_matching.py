@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from photocal.base.errors import IllPosedError
-from photocal.navigation.matching import UnrelatedImagesError, match
+from photocal.navigation.exposures import UnrelatedImagesError, match
 
 Floats = NDArray[np.float64]
 JITTER_S = 0.0005

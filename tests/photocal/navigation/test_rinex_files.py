@@ -15,8 +15,14 @@ from photocal.base.errors import ConfigurationError, IllPosedError, InputMalform
 from photocal.base.time_scales import GPS_EPOCH_NS
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.precise_results import count_ephemerides, read_observation_file
-from photocal.navigation.receiver_files import form_of, rtcm3_frames, rtcm3_time
-from photocal.navigation.rinex_files import navigation_ready, observations_ready, unpacked
+from photocal.navigation.rinex_files import (
+    form_of,
+    navigation_ready,
+    observations_ready,
+    rtcm3_frames,
+    rtcm3_time,
+    unpacked,
+)
 from photocal.navigation.time import GpsTime
 from tests.conftest import needs_engine
 

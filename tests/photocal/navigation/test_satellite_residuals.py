@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from photocal.navigation.engine_output import (
+from photocal.navigation.engine import (
     SatelliteResiduals,
     correlation_time_s,
     read_satellite_residuals,

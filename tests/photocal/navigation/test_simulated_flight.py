@@ -12,11 +12,11 @@ import pytest
 
 from photocal.findings.finding import Finding
 from photocal.navigation.engine import Rtklib
-from photocal.navigation.exposure_report import exposures_text
 from photocal.navigation.exposure_run import (
     ExposureChoices,
     ExposureRun,
     choices_of_project,
+    exposures_text,
     place_exposures,
     run_exposures,
 )

@@ -9,7 +9,7 @@ from photocal.base.errors import PhotocalError
 from photocal.base.geodesy import geocentric
 from photocal.geometry.realizations import realization
 from photocal.navigation.baseline_network import GroundMark
-from photocal.navigation.survey_frames import frame_of_orbits, frame_told, in_system
+from photocal.navigation.survey import frame_of_orbits, frame_told, in_system
 
 MARK = GroundMark("M1", geocentric(-25.45, -49.23, 925.8), np.zeros((3, 3)))
 # First line of a file of precise orbits as the standard has it (SP3-d, Hilla 2016, page 2).

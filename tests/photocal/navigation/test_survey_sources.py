@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquire.simulate.gnss.geometry import Antenna
-from acquire.simulate.gnss.session import Session, simulate
+from acquire.simulate.gnss.constellation import Antenna
+from acquire.simulate.gnss.observations import Session, simulate
 from acquire.simulate.gnss.settings import BASE
 from acquire.simulate.gnss.streams import base_ubx
 from photocal.block.folder import read_points

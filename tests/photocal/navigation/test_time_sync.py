@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from acquire.log.records import Channel
+from acquire.log.chunk import Channel
 from acquire.log.writer import LogWriter
-from acquire.recording.vehicle_dialogue import VehicleDialogue
+from acquire.recording.dialogues import VehicleDialogue
 from drivers.frames import StreamFramer, Wire
 from drivers.mavlink.dialect import ardupilotmega
 from photocal.navigation.device_clocks import ComparedClocks, device_by_arrival
@@ -20,8 +20,7 @@ from photocal.navigation.exposure_sources import events_of
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.time import HostTime, UtcTime
-from photocal.navigation.time_sync import time_sync
-from photocal.navigation.vehicle import autopilot_time, read_vehicle
+from photocal.navigation.vehicle import autopilot_time, read_vehicle, time_sync
 from tests.acquire.devices import Autopilot
 
 Integers = NDArray[np.int64]

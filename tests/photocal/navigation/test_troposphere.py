@@ -10,26 +10,25 @@ import pytest
 from numpy.typing import NDArray
 
 from acquire.simulate.gnss.atmosphere import Atmosphere
-from acquire.simulate.gnss.geometry import Antenna, AntennaTrack
-from acquire.simulate.gnss.session import simulate
+from acquire.simulate.gnss.constellation import Antenna, AntennaTrack
+from acquire.simulate.gnss.observations import simulate
 from acquire.simulate.gnss.settings import ROVER, SkySettings
 from acquire.simulate.gnss.streams import base_ubx, rover_ubx
 from photocal.base.codec import from_plain
 from photocal.base.errors import ConfigurationError
-from photocal.navigation.common_errors import CommonErrors
-from photocal.navigation.engine import Rtklib
-from photocal.navigation.ppk import Inputs, PpkResult, options_for, process
-from photocal.navigation.precise_results import ObservationFile, read_observation_file
-from photocal.navigation.survey import Survey, run_survey
-from photocal.navigation.survey_setup import KnownMark, MeasuredBaseline, SurveySetup
-from photocal.navigation.time import GpsTime
-from photocal.navigation.troposphere import (
+from photocal.navigation.common_errors import (
+    CommonErrors,
     climate,
     parse_weather,
     refractivity,
     remaining_lapse,
     saturation_hpa,
 )
+from photocal.navigation.engine import Rtklib
+from photocal.navigation.ppk import Inputs, PpkResult, options_for, process
+from photocal.navigation.precise_results import ObservationFile, read_observation_file
+from photocal.navigation.survey import KnownMark, MeasuredBaseline, Survey, SurveySetup, run_survey
+from photocal.navigation.time import GpsTime
 from photocal.project import AirAtBase
 from tests.acquire.simulate.gnss.flights import AXES, BASE_DEG, BASE_M, SECOND, Loop, gps_ns
 from tests.conftest import needs_engine

@@ -10,7 +10,7 @@ import pytest
 
 from acquire.channels.layouts import PARAMETER
 from acquire.channels.mounting import AutopilotMounting
-from acquire.log.records import Channel
+from acquire.log.chunk import Channel
 from acquire.log.writer import LogWriter
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.rig import CameraOnBody, camera_axes, check_mounting

@@ -19,7 +19,7 @@ from photocal.cli import app
 from photocal.report.issue import read_record
 from photocal.report.verification import pages_of, repeated
 from photocal.results.adjusted import adjust_block
-from photocal.results.origin import BlockSource
+from photocal.results.folder import BlockSource
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 HTML, PDF, RECORD = "certificate.html", "certificate.pdf", "certificate.json"

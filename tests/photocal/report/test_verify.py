@@ -20,8 +20,8 @@ from photocal.cli import app
 from photocal.report.issue import read_record
 from photocal.report.verification import as_certified, differences, record_of, repeated
 from photocal.results.adjusted import adjust_block
+from photocal.results.folder import BlockSource
 from photocal.results.more_tables import Wanted
-from photocal.results.origin import BlockSource
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from acquire.simulate.gnss.geometry import Antenna
-from acquire.simulate.gnss.session import Session, simulate
+from acquire.simulate.gnss.constellation import Antenna
+from acquire.simulate.gnss.observations import Session, simulate
 from acquire.simulate.gnss.settings import Faults, SkySettings
-from acquire.simulate.gnss.streams import Stream, base_rtcm, base_ubx, rover_ubx
-from acquire.simulate.gnss.time_marks import Pulses
+from acquire.simulate.gnss.streams import Pulses, Stream, base_rtcm, base_ubx, rover_ubx
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]

@@ -10,9 +10,8 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from acquire.simulate.gnss import navigation_messages
-from acquire.simulate.gnss.constellation import Satellite, constellation
+from acquire.simulate.gnss.constellation import Satellite, constellation, link, place
 from acquire.simulate.gnss.ephemeris import Ephemeris, fields_of, renewed
-from acquire.simulate.gnss.geometry import link, place
 from acquire.simulate.gnss.navigation_messages import subframe
 from acquire.simulate.gnss.settings import SkySettings
 from tests.acquire.simulate.gnss.flights import BASE_M, SECOND, START, Flight, Floats, Loop, gps_ns

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from acquire.simulate.gnss.atmosphere import Atmosphere
+from acquire.simulate.gnss.constellation import AntennaTrack
 from acquire.simulate.gnss.ephemeris import Field
-from acquire.simulate.gnss.geometry import AntennaTrack
 from acquire.simulate.gnss.observations import correlated, thermal
 from acquire.simulate.gnss.settings import E5BQ, L1CA, L2CL, ReceiverModel, SkySettings
 from tests.acquire.simulate.gnss.flights import Floats, gps_ns

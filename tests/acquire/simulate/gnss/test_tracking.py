@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquire.simulate.gnss.geometry import Antenna
-from acquire.simulate.gnss.observations import run_clock, track
-from acquire.simulate.gnss.session import Session, simulate
+from acquire.simulate.gnss.constellation import Antenna
+from acquire.simulate.gnss.observations import Session, run_clock, simulate, track
 from acquire.simulate.gnss.settings import Faults, ReceiverModel, SkySettings
-from acquire.simulate.gnss.streams import base_rtcm, base_ubx, rover_ubx
-from acquire.simulate.gnss.time_marks import Pulses, messages
+from acquire.simulate.gnss.streams import Pulses, base_rtcm, base_ubx, rover_ubx, time_mark_messages
 from photocal.base.errors import ConfigurationError
 from tests.acquire.simulate.gnss.flights import BASE_M, SECOND, START, fly, gps_ns, streams
 from tests.acquire.simulate.gnss.rtklib import to_rinex
@@ -202,7 +200,7 @@ def decoded(events: Pulses, start: int = START) -> list[tuple[int, int, int, int
         np.random.default_rng(0),
     )
     found = []
-    for _, p in messages(events, clock, 18, np.random.default_rng(0)):
+    for _, p in time_mark_messages(events, clock, 18, np.random.default_rng(0)):
         number = [int.from_bytes(p[a:b], "little") for a, b in ((4, 6), (8, 12), (2, 4), (1, 2))]
         found.append((number[0], number[1], number[2], number[3]))
     return found

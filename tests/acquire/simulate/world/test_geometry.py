@@ -15,9 +15,8 @@ from acquire.simulate.world import configuration
 from acquire.simulate.world.exposures import TO_OPENCV, Pose, antenna_at, antenna_velocity, omega_phi_kappa
 from acquire.simulate.world.motion import GRAVITY_M_S2, body_of
 from acquire.simulate.world.observations import row_time, seen, seen_rolling
-from acquire.simulate.world.place import Place
-from acquire.simulate.world.terrain import make_terrain
-from acquire.simulate.world.truth import grid_to_local
+from acquire.simulate.world.site import grid_to_local
+from acquire.simulate.world.terrain import Place, make_terrain
 from acquire.simulate.world.world import World
 
 
