@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from acquire.log.chunk import Channel, Schema
 from drivers.frames import Batch
 from photocal.base.arrays import Integers
-
-SECOND_NS = 1_000_000_000
+from photocal.base.time_scales import SECOND_NS
 
 
 @dataclass(frozen=True)

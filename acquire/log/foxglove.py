@@ -8,8 +8,7 @@ import numpy as np
 
 from acquire.log.chunk import Schema
 from photocal.base.arrays import Floats, Integers
-
-SECOND_NS = 1_000_000_000
+from photocal.base.time_scales import SECOND_NS
 
 
 def _message(name: str) -> Any:

@@ -10,13 +10,13 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from acquire.channels.decoded import SECOND_NS
 from acquire.log.chunk import MAGIC, PART_OF
 from acquire.log.reader import LoggedMessages, LogReader
 from acquire.monitor.reducer import state_after
 from acquire.monitor.state import ComputerState, RecordingState
 from acquire.monitor.traffic import looked
 from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.base.time_scales import SECOND_NS
 
 # What one step reads at most, so that a long log shows its beginning at once.
 _MOST_CHUNKS = 20

@@ -11,12 +11,12 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
-from acquire.channels.decoded import SECOND_NS
 from acquire.monitor.state import ShownAlarm
 from acquire.monitor.view_model import CameraRow, LinkRow, MapLayer, PageView, ReceiverRow, Word
 from photocal.base.arrays import Floats, Integers
 from photocal.base.console import printable
 from photocal.base.geodesy import enu_offsets
+from photocal.base.time_scales import SECOND_NS
 
 # Dots of a Braille cell by column and row (Unicode 15, chapter 21.1).
 _DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))

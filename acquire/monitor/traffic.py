@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from acquire.channels.decoded import SECOND_NS
 from acquire.channels.summary import GAP_S
 from acquire.log.chunk import DAMAGE_ENCODING
 from acquire.log.reader import LoggedMessages
@@ -15,6 +14,7 @@ from acquire.monitor.state import ComputerState, LinkState, ReceiverState, Recor
 from drivers.frames import Wire
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.dialect import ardupilotmega
+from photocal.base.time_scales import SECOND_NS
 
 # The last part of the topics of a link's own octets.
 OCTETS = ("raw", "damage", "sent")

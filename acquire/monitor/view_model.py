@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from acquire.channels.decoded import SECOND_NS
 from acquire.monitor.planned import covered
 from acquire.monitor.state import (
     Battery,
@@ -28,6 +27,7 @@ from acquire.monitor.traffic import (
     correction_age_s,
 )
 from photocal.base.arrays import Floats
+from photocal.base.time_scales import SECOND_NS
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from acquire.channels.decoded import SECOND_NS, Decoder
+from acquire.channels.decoded import Decoder
 from acquire.recording.caster_position import CasterPosition
 from acquire.recording.configuration import LinkConfiguration, RecordingConfiguration
 from acquire.recording.link_session import decoder_of
@@ -24,6 +24,7 @@ from drivers.mavlink.dialect import Dialect
 from drivers.protocols import wires_of
 from drivers.ubx.decode import NAV_PVT, RXM_RAWX
 from photocal.base.console import Check
+from photocal.base.time_scales import SECOND_NS
 
 _NOT_IN_SPACE = ("none", "time_only", "dead_reckoning", "2d")
 # What a receiver sends once for each solution; the other messages come when there is something to tell.

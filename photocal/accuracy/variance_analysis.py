@@ -20,7 +20,7 @@ RESIDUAL = "residual"
 
 
 @dataclass(frozen=True)
-class Effect:
+class VarianceEffect:
     """What a factor, or two of them together, explains.
 
     sum_of_squares: in the square of the unit of the values.
@@ -41,7 +41,7 @@ class Effect:
         return self.p_value < 1.0 - policy.confidence
 
 
-def analyse_variance(factors: Mapping[str, Sequence[str]], values: Floats) -> tuple[Effect, ...]:
+def analyse_variance(factors: Mapping[str, Sequence[str]], values: Floats) -> tuple[VarianceEffect, ...]:
     """Part the variance of values by the factors that were varied (Fisher 1925).
 
     Each combination of levels must occur equally often; a single factor may have groups of any size. Factors
@@ -87,8 +87,10 @@ def analyse_variance(factors: Mapping[str, Sequence[str]], values: Floats) -> tu
     effects = []
     for name, (df, squares) in used.items():
         f = np.inf if rest == 0.0 else squares / df / (rest / left)
-        effects.append(Effect(name, df, squares, squares / total, f, float(special.fdtrc(df, left, f))))
-    return (*effects, Effect(RESIDUAL, left, rest, rest / total))
+        effects.append(
+            VarianceEffect(name, df, squares, squares / total, f, float(special.fdtrc(df, left, f)))
+        )
+    return (*effects, VarianceEffect(RESIDUAL, left, rest, rest / total))
 
 
 def _joined(levels: list[Integers]) -> Integers:
@@ -121,13 +123,13 @@ def read_variance_table(path: Path) -> tuple[dict[str, tuple[str, ...]], dict[st
     return factors, values
 
 
-def analyse_table(path: Path) -> dict[str, tuple[Effect, ...]]:
+def analyse_table(path: Path) -> dict[str, tuple[VarianceEffect, ...]]:
     """Analyse each value of a table of an experiment; errors as of its parts."""
     factors, values = read_variance_table(path)
     return {name: analyse_variance(factors, column) for name, column in values.items()}
 
 
-def variance_tables(analysed: Mapping[str, tuple[Effect, ...]]) -> list[TablePart]:
+def variance_tables(analysed: Mapping[str, tuple[VarianceEffect, ...]]) -> list[TablePart]:
     """Write each analysis as people know it."""
     heads = ("", "degrees of freedom", "sum of squares", "share", "F", "p", "<")
     parts = []
@@ -144,7 +146,7 @@ def variance_tables(analysed: Mapping[str, tuple[Effect, ...]]) -> list[TablePar
     return parts
 
 
-def variance_record(analysed: Mapping[str, tuple[Effect, ...]]) -> dict[str, Any]:
+def variance_record(analysed: Mapping[str, tuple[VarianceEffect, ...]]) -> dict[str, Any]:
     """Give the analyses as a JSON value."""
     return {
         value: [
@@ -155,6 +157,6 @@ def variance_record(analysed: Mapping[str, tuple[Effect, ...]]) -> dict[str, Any
     }
 
 
-def variance_text(analysed: Mapping[str, tuple[Effect, ...]]) -> str:
+def variance_text(analysed: Mapping[str, tuple[VarianceEffect, ...]]) -> str:
     """Write all of them for people."""
     return text([Section("", tuple(variance_tables(analysed)))])

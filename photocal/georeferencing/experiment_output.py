@@ -9,7 +9,12 @@ import numpy as np
 
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.maps import save_figures
-from photocal.accuracy.variance_analysis import Effect, analyse_variance, variance_record, variance_tables
+from photocal.accuracy.variance_analysis import (
+    VarianceEffect,
+    analyse_variance,
+    variance_record,
+    variance_tables,
+)
 from photocal.base.arrays import as_plain, picked
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_folder, rows_text, write_json
@@ -111,7 +116,7 @@ def to_json(outcome: ExperimentOutcome) -> dict[str, Any]:
     return {key: as_plain(part) for key, part in content.items()}
 
 
-def _variance(outcome: ExperimentOutcome) -> dict[str, tuple[Effect, ...]]:
+def _variance(outcome: ExperimentOutcome) -> dict[str, tuple[VarianceEffect, ...]]:
     """Part the variance of the RMSE at check points by what was varied; empty where nothing repeats it."""
     runs = [(run, run.check.rmse) for run in outcome.runs if run.check is not None and run.check.names]
     keys = ("interior", "use", "pattern", "method")

@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from photocal.accuracy.variance_analysis import Effect, analyse_variance, variance_record, variance_tables
+from photocal.accuracy.variance_analysis import (
+    VarianceEffect,
+    analyse_variance,
+    variance_record,
+    variance_tables,
+)
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.block.model import Block
@@ -111,7 +116,7 @@ def _run(block: Block, stated: tuple[float, float], reference: Floats | None) ->
     )
 
 
-def prior_variance(runs: tuple[PriorRun, ...]) -> dict[str, tuple[Effect, ...]]:
+def prior_variance(runs: tuple[PriorRun, ...]) -> dict[str, tuple[VarianceEffect, ...]]:
     """Part the variance of the errors at the check points by the stated sigmas; empty where it cannot be."""
     good = [run for run in runs if np.isfinite(run.check_rmse).all()]
     factors = {

@@ -117,7 +117,7 @@ class Pass(Table):
     spacing_spread: Annotated[float, Field(ge=0, le=0.15)] = 0.04
 
 
-class Plan(Table):
+class PlanKeys(Table):
     """The flight: corners of the area (east, north), and its passes."""
 
     area_m: Annotated[tuple[Pair, ...], Field(min_length=3)]
@@ -246,7 +246,7 @@ class FlightConfiguration(Table):
     level: Level = Level.PICTURES
     place: PlaceKeys
     terrain: TerrainKeys = TerrainKeys()
-    plan: Plan
+    plan: PlanKeys
     vehicle: VehicleKeys = VehicleKeys()
     camera: TrueCamera
     rig: RigKeys

@@ -49,7 +49,7 @@ class Leg:
     strip: int = -1
 
 
-def strips(plan: configuration.Plan, camera: TrueCamera) -> tuple[FlownStrip, ...]:
+def strips(plan: configuration.PlanKeys, camera: TrueCamera) -> tuple[FlownStrip, ...]:
     """Lay strips over the area, pass after pass, each next to the one before and flown the other way."""
     area = np.array(plan.area_m)
     lines: list[FlownStrip] = []
@@ -83,7 +83,7 @@ def _crossing(area: Floats, right: Floats, along: Floats, across: float) -> tupl
 
 
 def legs(
-    plan: configuration.Plan, lines: tuple[FlownStrip, ...], ground_m: float
+    plan: configuration.PlanKeys, lines: tuple[FlownStrip, ...], ground_m: float
 ) -> tuple[Floats, list[Leg]]:
     """Join the strips to one way, from the ground to the ground."""
     # As multicopters are set to climb and sink.

@@ -13,8 +13,8 @@ from acquire.simulate.world.motion import Motion, legs, make_motion, strips
 from acquire.simulate.world.terrain import HeightField, Place, make_terrain
 from photocal.base.arrays import Floats, Integers, spread
 from photocal.base.errors import ConfigurationError
+from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS
 
-GPS_EPOCH_UNIX_S = 315_964_800
 # Parts of the truth that are drawn one by one, so that a change of one leaves the others as they are.
 STREAMS = (
     "terrain", "targets", "rig", "motion", "exposures", "sky", "telemetry", "wires", "texture", "pictures",
@@ -142,7 +142,7 @@ class World:
 
     def utc_ns(self, time_s: Floats) -> Integers:
         """Give UTC nanoseconds since 1970 of seconds since the start."""
-        return np.asarray(self.gps_ns(time_s) + (GPS_EPOCH_UNIX_S - LEAP_S) * 1_000_000_000)
+        return np.asarray(self.gps_ns(time_s) + GPS_EPOCH_NS - LEAP_S * SECOND_NS)
 
     def seconds(self, gps_ns: Integers) -> Floats:
         """Give seconds since the start of GPS nanoseconds."""
@@ -185,7 +185,7 @@ def make_world(configuration: FlightConfiguration) -> World:
     base = np.array([*configuration.gnss.base_m, 0.0])
     base[2] = float(terrain.height(base[:1], base[1:2])[0])
     start_utc_s = round(configuration.place.start_utc.timestamp())
-    start_gps = (start_utc_s - GPS_EPOCH_UNIX_S + LEAP_S) * 1_000_000_000
+    start_gps = (start_utc_s + LEAP_S) * SECOND_NS - GPS_EPOCH_NS
     return World(
         configuration,
         Place.of(configuration.place),
