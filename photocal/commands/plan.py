@@ -85,8 +85,8 @@ def flown(
     """Measure a flown block: height, ground sampling, tilt, real overlaps, rays, gaps, motion blur.
 
     Overlap is the share of an image that the next one (forward) or the neighbouring strip (side) shows, over
-    the ground through the block's points. Laser distances of the pictures are held against the surface of the
-    tie points, or against a terrain model.
+    the ground through the block's points. Laser distances of the pictures are compared with the
+    surface of the tie points, or with a terrain model.
 
     Example: `photocal flown PROJECT.toml --images photos --plan plan/plan.json -o flown`
     """

@@ -168,6 +168,17 @@ def _lines(chapter: str) -> list[str]:
     return [line for block in blocks(chapter, "sh") for line in block.splitlines()]
 
 
+def test_a_card_becomes_a_certificate(installed: Path, tmp_path: Path) -> None:
+    desk = Desk(tmp_path, installed)
+    desk.follow_all("first")
+    work = tmp_path / "practice" / "site" / "work"
+    assert (work / "certificate" / "certificate.pdf").read_bytes().startswith(b"%PDF")
+    truth = json.loads((tmp_path / "practice" / "truth" / "truth.json").read_text())
+    (camera,) = json.loads((work / "calibration" / "result.json").read_text())["cameras"].values()
+    found = camera["parameters"]["c"]
+    assert abs(found["value"] - truth["camera"]["px"]["c"]) < 3 * found["sigma"]
+
+
 def test_the_flight_is_recorded_whole(recorded: Desk) -> None:
     said = recorded.said["acquire info"]
     verdict = re.search(
