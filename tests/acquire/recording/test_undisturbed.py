@@ -303,7 +303,7 @@ def test_two_senders_at_one_port_are_told_once_and_cost_nothing(tmp_path: Path) 
         grown_mb = memory_mb(recorder.process.pid) - early_mb
         recorder.process.kill()
         assert good.lost(tmp_path, time.monotonic()) == 0
-    moves = [line for line in recorder.told if "comes from another place" in line]
+    moves = [line for line in recorder.told if "come from another address" in line]
     assert len(moves) == 1
     # It was 12 MB a second.
     assert grown_mb < 20

@@ -89,7 +89,7 @@ def test_contrast_in_a_siemens_star(sigma: float) -> None:
     assert falls_to(frequency, found, 0.1) == pytest.approx(true, rel=0.05)
     with pytest.raises(InputMalformedError, match="no star of 35 spokes"):
         siemens_star(star(sigma), (203.0, 200.0), 180.0, 35)
-    with pytest.raises(InputMalformedError, match="no whole star"):
+    with pytest.raises(InputMalformedError, match="no complete star"):
         siemens_star(star(sigma), (20.0, 200.0), 180.0, 36)
 
 

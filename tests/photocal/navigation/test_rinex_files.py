@@ -214,6 +214,6 @@ def test_the_form_is_told_by_what_is_in_the_file(data: bytes, name: str, form: s
 def test_what_is_nothing_known_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "EVENTLOG.bin"
     path.write_bytes(bytes(1000))
-    with pytest.raises(InputMalformedError, match="neither RINEX nor raw"):
+    with pytest.raises(InputMalformedError, match="neither RINEX nor a known raw format"):
         observations_ready(path, Rtklib(), tmp_path / "made", TODAY)
     shutil.rmtree(tmp_path)

@@ -69,7 +69,7 @@ def test_no_other_file_is_given(ask: Ask, name: str) -> None:
     status, _ = ask(f"/tiles/{name}/0/0/0")
     assert status == 404
     status, refused = ask("/mark", {"image": name, "point": "P1", "x": 5, "y": 5})
-    assert (status, "no image of this project" in refused) == (404, True)
+    assert (status, "not an image of this project" in refused) == (404, True)
 
 
 def test_links_out_of_the_folder_and_bad_pictures_are_named(ask: Ask) -> None:
