@@ -110,7 +110,9 @@ def run_project(
     for option, name in (("--until", until), ("--again", again)):
         if name is not None and name not in names:
             raise ConfigurationError(
-                f"{name!r} is no stage of this project", f"take {', '.join(names)}", where=option
+                f"this project has no stage {name!r}",
+                f"take one that it has: {', '.join(names)}",
+                where=option,
             )
     check_output(project)
     check_project(project)
