@@ -25,7 +25,7 @@ _BY_HAND = (BY_HAND_PX, BY_HAND_PX)
 Sizes = Mapping[str, tuple[int, int]]
 Sigma = tuple[float, float]
 # Words that head the columns of such tables, in the order in which tables without a head have them.
-_HEADS = (
+MARK_HEADS = (
     ("image", (*IMAGE_HEADS, "image_name", "imagename", "image_label", "camera", "camera_label")),
     ("point", ("point", "gcp", "gcp_name", "gcp_label", "marker", "marker_label", "label", "ponto", "marco")),
     ("x", ("x", "u", "image_u", "image_x", "x_px")),
@@ -316,7 +316,7 @@ def _order(head: Sequence[str], path: Path) -> tuple[int, ...] | None:
     if len(head) >= 4 and _is_number(head[2]) and _is_number(head[3]):
         return None
     order = []
-    for what, words in _HEADS:
+    for what, words in MARK_HEADS:
         here = [k for k, cell in enumerate(head) if cell in words]
         if len(here) != 1:
             raise InputMalformedError(

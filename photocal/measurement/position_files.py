@@ -4,7 +4,7 @@ Positions of pictures in the frame of their caster, taken to the frame and epoch
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -171,9 +171,13 @@ def _given(places: dict[str, _Place], path: Path, names: Sequence[str]) -> Given
     return lambda facts: _placed(facts, _of(facts.name, places))
 
 
-def in_degrees(path: Path) -> bool:
-    """Whether the heads of a table say that its places are longitudes and latitudes, and nothing else."""
-    return _has(path, _DEGREES) and not _has(path, _METRES)
+def in_degrees(path: Path, besides: Collection[str] = ()) -> bool:
+    """Whether the heads of a table say that its places are longitudes and latitudes, and nothing else.
+
+    besides: heads of other matters than places.
+    """
+    metres = {key: [word for word in words if word not in besides] for key, words in _METRES.items()}
+    return _has(path, _DEGREES) and not _has(path, metres)
 
 
 def _has(path: Path, heads: Mapping[str, Sequence[str]]) -> bool:

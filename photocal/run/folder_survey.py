@@ -1,5 +1,6 @@
 """What lies in the folder of a flight: pictures, control, marks, logs, and projects of other programs."""
 
+import contextlib
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -8,15 +9,24 @@ from pathlib import Path
 
 import numpy as np
 
+from photocal.base.arrays import Integers
 from photocal.base.errors import InputNotFoundError, PhotocalError
 from photocal.block.model import ROLES, Block, ObjectPoints
-from photocal.block.table import read_under
+from photocal.block.table import TextTable, read_under
 from photocal.exchange.parts import Mark, PointEntry, object_points, require_unique
 from photocal.exchange.source import number, read_lines
 from photocal.geometry.camera import Camera
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES, require_names
-from photocal.measurement.marks import ControlMarks, read_any_marks, read_control_marks, read_typed_list
+from photocal.measurement.marks import (
+    BY_HAND_PX,
+    MARK_HEADS,
+    ControlMarks,
+    named_after,
+    read_any_marks,
+    read_control_marks,
+    read_typed_list,
+)
 from photocal.measurement.position_files import PLACE_HEADS, UnbelievableListError, in_degrees, read_positions
 
 # Sigma of control points whose file has none, horizontal and vertical, m: a network RTK of short occupation.
@@ -27,6 +37,12 @@ HEADS = {
     **PLACE_HEADS,
     "role": ("role", "tipo", "type", "uso"),
 }
+# Of a table with a row for each mark: x and y are those of the marks, or marks have other heads.
+_IN_IMAGE = {key: words for key, words in MARK_HEADS if key != "point"}
+_MARKED_HEADS = (
+    {**HEADS, **_IN_IMAGE, "X": HEADS["X"][1:], "Y": HEADS["Y"][1:]},
+    {**HEADS, **_IN_IMAGE, "x": _IN_IMAGE["x"][1:], "y": _IN_IMAGE["y"][1:]},
+)
 CHECKS = ("check", "checagem", "verificação", "verificacao", "checkpoint", "check point")
 _LOGS, _RAW_LOGS = (".mcap",), (".tlog", ".bin", ".ulg", ".ubx")
 _TABLES = (".csv", ".txt")
@@ -256,26 +272,59 @@ def _micmac(path: Path, _: Sizes) -> ControlFile:
     return ControlFile(path, "local", object_points(ground), assumed=assumed)
 
 
-def _table(path: Path, _: Sizes) -> ControlFile:
-    """A table of points under any heads that people write."""
+def _table(path: Path, sizes: Sizes) -> ControlFile:
+    """A table of points under any heads that people write, with a row for each point or for each mark."""
+    for heads in _MARKED_HEADS:
+        with contextlib.suppress(InputNotFoundError):
+            table = read_under(path, heads, ("point", *"XYZ", *_IN_IMAGE))
+            return _of_marked_table(table, sizes, in_degrees(path, besides=_IN_IMAGE["x"] + _IN_IMAGE["y"]))
     table = read_under(path, HEADS, ("point", *"XYZ"))
-    x, y, z = (table.numbers(column) for column in "XYZ")
+    return _of_table(table, table.unique_names("point"), np.arange(len(table)), in_degrees(path))
+
+
+def _of_marked_table(table: TextTable, sizes: Sizes, degrees: bool) -> ControlFile:
+    """Points and marks of a table with a row for each mark; a row that contradicts one before is refused."""
+    (index, names), (image, images) = table.names("point"), table.names("image")
+    first = np.unique(index, return_index=True)[1]
+    places = table.matrix("XYZ")
+    moved = np.any(places != places[first[index]], axis=1)
+    # As in all tables of other programs the corner of the upper-left pixel is (0, 0).
+    half = 0.5
+    pixels = table.matrix("xy") - half
+    marks, refused = dict[tuple[str, str], Mark](), list[str]()
+    for row, (i, j, (x, y)) in enumerate(zip(image, index, pixels.tolist(), strict=True)):
+        where, pair = table.place(row), (images[i], names[j])
+        if moved[row]:
+            refused.append(f"{where}: {names[j]} has other coordinates than before")
+        elif pair in marks:
+            refused.append(f"{where}: {names[j]} is marked in {images[i]} already")
+        else:
+            marks[pair] = Mark(*pair, x, y, (BY_HAND_PX, BY_HAND_PX), where)
+    return replace(
+        _of_table(table, names, first, degrees),
+        marks=named_after(marks.values(), sizes),
+        rows=len(table),
+        refused=tuple(refused),
+    )
+
+
+def _of_table(table: TextTable, names: tuple[str, ...], rows: Integers, degrees: bool) -> ControlFile:
+    """Points of those rows of a table; what the table does not say of their precision is assumed."""
+    places, stated = table.matrix("XYZ")[rows], table.has("sX")
     sigma = np.column_stack(
         [
-            table.numbers(name, empty=assumed)
+            table.numbers(name, empty=assumed)[rows]
             for name, assumed in zip(("sX", "sY", "sZ"), (ASSUMED_M[0], *ASSUMED_M), strict=True)
         ]
     )
-    names = table.unique_names("point")
     roles = ["control"] * len(names)
     if table.has("role"):
         index, words = table.names("role")
-        roles = ["check" if words[k].lower() in CHECKS else "control" for k in index]
-    places = np.column_stack([x, y, z])
-    sigma[np.array(roles) == "check"] = np.where(table.has("sX"), sigma[np.array(roles) == "check"], np.inf)
+        roles = ["check" if words[k].lower() in CHECKS else "control" for k in index[rows]]
+    sigma[np.array(roles) == "check"] = np.where(stated, sigma[np.array(roles) == "check"], np.inf)
     role = np.array([ROLES.index(name) for name in roles], dtype=np.int64)
     points = ObjectPoints(names, places, sigma, role)
-    return ControlFile(path, "EPSG:4326" if in_degrees(path) else "", points, assumed=not table.has("sX"))
+    return ControlFile(table.path, "EPSG:4326" if degrees else "", points, assumed=not stated)
 
 
 def _bare_table(path: Path, sizes: Sizes) -> ControlFile:

@@ -214,3 +214,32 @@ def test_places_of_pictures_clouds_and_tracks_are_no_control(tmp_path: Path, nam
     (folder / "places.txt").write_text(f"{name},677001.5,5277001.5,463.5\n")
     new_project(folder, height="ellipsoidal")
     assert not (folder / "control.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("head", "order"),
+    [
+        ("point,E,N,Z,image,x,y", (0, 1, 2, 3, 4, 5, 6)),
+        ("point,X,Y,Z,image,u,v", (0, 1, 2, 3, 4, 5, 6)),
+        ("image;x;y;gcp;easting;northing;height", (4, 5, 6, 0, 1, 2, 3)),
+    ],
+)
+def test_points_and_marks_may_stand_in_one_table(tmp_path: Path, head: str, order: tuple[int, ...]) -> None:
+    """A row for each mark, with the place of its point: one place each, and what contradicts it is named."""
+    folder = folder_of(tmp_path, "", utm)
+    (folder / "gcp_list.txt").unlink()
+    rows = [
+        [f"GCP{k}", *(f"{value:.3f}" for value in utm(place)), f"MAX_{n:04d}.JPG", "20.5", "10.5"]
+        for k, place in enumerate(POINTS)
+        for n in (0, 1)
+    ]
+    rows[-1][2] = "5276999.000"
+    between = ";" if ";" in head else ","
+    lines = [head, *(between.join(row[k] for k in order) for row in rows)]
+    (folder / "gcp.csv").write_text("\n".join(lines))
+    made = new_project(folder, height="ellipsoidal")
+    assert any(line == "control: 4 points of gcp.csv, 7 marks in 2 images" for line in made.known)
+    assert any("line 9: GCP3 has other coordinates than before" in line for line in made.doubtful)
+    (marks,) = (path for path in folder.glob("*marks.csv") if "image,point" in path.read_text())
+    # Other programs count from the corner of a pixel, our tables from its centre.
+    assert marks.read_text().splitlines()[1].split(",")[:4] == ["MAX_0000.JPG", "GCP0", "20.000", "10.000"]
