@@ -16,17 +16,19 @@ if command -v apt-get >/dev/null && { [ "$$(id -u)" = 0 ] || { command -v sudo >
 else echo "$$lacking is not installed; on Debian run: sudo apt-get install $$lacking"; exit 1; fi; }
 endef
 
-.PHONY: help engine setup demo demo-dcs460 test quick wheel check bench evidence manual docs lock lowest audit vendor clean
+.PHONY: help engine setup demo demo-dcs460 test slow times quick wheel check bench evidence manual docs lock lowest audit vendor clean
 
 help:
 	@echo "make demo    simulate a flight, record it, process it, compare with the truth"
 	@echo "make demo-dcs460  calibrate a camera from published observations, write its certificate"
-	@echo "make test    run the tests"
+	@echo "make test    run the tests: all that take seconds, in some minutes"
+	@echo "make slow    run those that take longer: real flights, pages in a browser, installed wheels"
+	@echo "make times   run all of them, and write down which take long"
 	@echo "make quick   while working: the tests of the rooms that have changed"
 	@echo "make wheel   build the wheel into dist/"
 	@echo "make check   ruff and mypy --strict"
 	@echo "make bench   measure speed"
-	@echo "make evidence  the long statistical studies, into docs/evidence"
+	@echo "make evidence  the longest tests, and the statistical studies, into docs/evidence"
 	@echo "make manual  renew the command pages and the figure of the architecture"
 	@echo "make docs    the docs as a site, into build/site"
 	@echo "make setup   only install (.venv, locked packages, compiled kernels)"
@@ -60,9 +62,19 @@ demo-dcs460: $(READY)
 # The tests' matrices are small: threads of the linear algebra would only wait for each other. Tests of one
 # file stay together, so that what they share is made once; slow files go first, wherever they have few tests.
 # To have each assertion tell its values costs every worker as much as a hundred tests: what fails runs again so.
+# What is left for `make slow` and `make evidence` stands in tests/times.txt.
+PYTEST  := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
+BESIDE  := -n auto --dist loadfile --no-loadscope-reorder --assert plain
+AGAIN   := $(PYTEST) --last-failed --last-failed-no-failures none
 test: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --assert plain \
-		|| { OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --last-failed --last-failed-no-failures none; exit 1; }
+	$(PYTEST) $(BESIDE) -m "not slow and not long" || { $(AGAIN); exit 1; }
+
+slow: $(READY)
+	$(PYTEST) $(BESIDE) -m "slow and not long" || { $(AGAIN); exit 1; }
+
+# All of them, with nothing beside: writes tests/times.txt anew.
+times: $(READY)
+	$(PYTEST) $(BESIDE) --write-times
 
 # Rooms that differ from the main branch, their tests and those that import what has changed.
 quick: $(READY)
@@ -81,6 +93,7 @@ bench: $(READY)
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-only
 
 evidence: $(READY)
+	$(PYTEST) $(BESIDE) -m long
 	for study in tests/evidence/*.py; do $(BIN)/python -m tests.evidence.$$(basename $$study .py) || exit 1; done
 
 manual: $(READY)

@@ -135,47 +135,37 @@ def pytest_xdist_auto_num_workers() -> int:
     return (os.cpu_count() or 1) + 1
 
 
-SLOW_S, SLOW = 10.0, "photocal/slow"
-# Files that take longest, the longest first: begun last they would run alone at the end.
-LONGEST = (
-    "photocal/desk/test_window.py",
-    "photocal/desk/test_real_pictures.py",
-    "docs/test_guide.py",
-    "photocal/debrief/test_debrief.py",
-    "photocal/run/test_campaign.py",
-    "photocal/measurement/marking/test_page.py",
-    "photocal/run/test_killed_recording.py",
-    "acquire/simulate/gnss/test_positions.py",
-    "photocal/adjustment/test_against_dense.py",
-    "photocal/navigation/test_ppk_figures.py",
-    "photocal/georeferencing/test_check_block.py",
-    "photocal/navigation/test_image_checks.py",
-    "photocal/run/test_run.py",
-    "photocal/report/test_certificate.py",
-    "photocal/report/test_forgery.py",
-    "acquire/monitor/test_page.py",
-    "photocal/navigation/test_simulated_flight.py",
-    "acquire/importing/test_import.py",
-    "photocal/peers/test_dbat_camcal.py",
-)
+# Files whose tests take long together, with their seconds: they have runs of their own, and begin first in a
+# run of all. `make times` measures them anew.
+TIMES = Path(__file__).with_name("times.txt")
+SLOW_S, LONG_S = 12.0, 120.0
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark what looks at pages, and what took long when it was last run here; that begins first."""
-    cache: Any = getattr(config, "cache", None)
-    known = set(cache.get(SLOW, [])) if cache else set()
+def times() -> dict[Path, float]:
+    """Seconds of the files that take long."""
+    lines = (line.split() for line in TIMES.read_text(encoding="utf-8").splitlines())
+    return {ROOT / file: float(seconds) for seconds, file in lines}
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let a run of all tests write down what took long."""
+    parser.addoption(
+        "--write-times", action="store_true", help="write the files that take long to tests/times.txt"
+    )
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what looks at pages and what takes long; the longest begin first: none runs alone at the end."""
+    known = times()
     for item in items:
-        if item.nodeid in known:
+        seconds, asked = known.get(item.path, 0.0), getattr(item, "fixturenames", ())
+        if seconds >= LONG_S:
+            item.add_marker("long")
+        elif seconds >= SLOW_S or "installed" in asked:
             item.add_marker("slow")
-        asked = getattr(item, "fixturenames", ())
         if "browser" in asked:
             item.add_marker("browser")
-        if "installed" in asked:
-            item.add_marker("slow")
-    # At the end of a run no core waits for another.
-    begins = {ROOT / "tests" / name: place for place, name in enumerate(LONGEST)}
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: begins.get(item.path, len(begins) + (item.path not in slow)))
+    items.sort(key=lambda item: -known.get(item.path, 0.0))
 
 
 def pytest_collection_finish() -> None:
@@ -185,13 +175,14 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    """Remember which tests take long, with what they set up."""
+    """Write down which files take long, with what they set up."""
+    if not config.getoption("--write-times"):
+        return
     took: dict[str, float] = {}
     for reports in terminalreporter.stats.values():
         for report in reports:
             if hasattr(report, "duration") and hasattr(report, "nodeid"):
-                took[report.nodeid] = took.get(report.nodeid, 0.0) + report.duration
-    cache: Any = getattr(config, "cache", None)
-    slow = {name for name in cache.get(SLOW, []) if name not in took} if cache else set()
-    if cache:
-        cache.set(SLOW, sorted(slow | {name for name, seconds in took.items() if seconds > SLOW_S}))
+                file = report.nodeid.partition("::")[0]
+                took[file] = took.get(file, 0.0) + report.duration
+    slow = sorted((file, seconds) for file, seconds in took.items() if seconds >= SLOW_S)
+    TIMES.write_text("".join(f"{seconds:.0f} {file}\n" for file, seconds in slow), encoding="utf-8")

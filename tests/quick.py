@@ -1,7 +1,8 @@
 """`make quick`: ruff on what has changed, and the tests of the rooms in which it stands.
 
 Changed is what differs from the main branch or is not committed. Run are the tests in the mirror of
-a changed room and those that import a changed module themselves, less those marked `slow` and `browser`.
+a changed room and those that import a changed module themselves, less those marked `slow`, `long` and
+`browser`.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ def main() -> int:
     shared = ["-n", "auto", "--dist", "loadfile", "--no-loadscope-reorder"]
     command = [sys.executable, "-m", "pytest", "-q", *shared]
     return subprocess.run(
-        [*command, "-m", "not slow and not browser", *tests], cwd=ROOT, check=False
+        [*command, "-m", "not slow and not long and not browser", *tests], cwd=ROOT, check=False
     ).returncode
 
 

@@ -192,7 +192,7 @@ def test_a_log_that_is_deleted_or_moved_is_told_and_nothing_is_lost(
         with GoodLink(port) as good:
             until(lambda: frames_in(tmp_path / "logs", "good"), "the first frames")
             clean_up(tmp_path / "logs")
-            recorder.line("recording goes on in ")
+            recorder.line("recording continues in ")
             time.sleep(0.2)
         figures = json.loads(recorder.end())
     assert recorder.process.returncode == 0
