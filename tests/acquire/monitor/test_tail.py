@@ -211,7 +211,7 @@ def test_what_can_be_watched(tmp_path: Path) -> None:
     recorder.write()
     assert read(tail) == list(range(5))
     (tmp_path / "text.txt").write_text("no log at all")
-    with pytest.raises(InputMalformedError, match="no flight log"):
+    with pytest.raises(InputMalformedError, match="not a flight log"):
         tail_of(tmp_path / "text.txt")
     with pytest.raises(InputNotFoundError, match="does not exist"):
         tail_of(tmp_path / "missing.mcap")

@@ -45,7 +45,7 @@ def test_both_logs_are_one_flight(tmp_path: Path) -> None:
             second.figures()
     logs = tuple(sorted((tmp_path / "logs").iterdir()))
     assert len(logs) == 2
-    assert any(f"{logs[0]} has no end" in line for line in second.told)
+    assert any(f"{logs[0]} was not closed" in line for line in second.told)
     # What reads the logs for the trajectory sees one stream, the killed log unrepaired.
     frames = [
         frame for _, messages in FlightLog(logs).raw(Wire.UBX, link="rover") for frame in messages.payloads
