@@ -103,10 +103,11 @@ _SHARED: dict[str, Any] = {
 }
 
 
-def application(help_text: str, commands: Mapping[str, Listed] = types.MappingProxyType({})) -> typer.Typer:
-    """Make a command line application of commands that are imported one by one."""
-    made = type("Commands", (_Commands,), {"listed": commands})
-    app = typer.Typer(cls=made, help=help_text, **_SHARED)
+def application(help_text: str, commands: Mapping[str, Listed] | None = None) -> typer.Typer:
+    """Make a command line application: of commands that are imported one by one, or that are added to it."""
+    if commands is None:
+        return typer.Typer(help=help_text, **_SHARED)
+    app = typer.Typer(cls=type("Commands", (_Commands,), {"listed": commands}), help=help_text, **_SHARED)
     app.callback()(_of_program)
     return app
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import socket
 import struct
@@ -249,7 +250,7 @@ def poor_computer(for_s: float = LOAD_S) -> Poor:
         kept = set(frames_in(logs, "good"))
         lost["good"] = sum(frame not in kept for _, frame in good.sent)
         events = _exposures(logs)
-        alarms = [line.strip() for line in recorder.told if "arrive faster than" in line or "data arrive than" in line]
+        alarms = [line.strip() for line in recorder.told if re.search("arrive (faster )?than", line)]
         counts["good"] = len(good.sent)
         return Poor(counts, lost, events, alarms, memory, descriptors, recorder.process.returncode)
 

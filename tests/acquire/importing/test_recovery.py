@@ -118,7 +118,7 @@ def test_the_command_repairs_and_says_what_was_lost(
     log.write_bytes(data[:-100])
     done = acquire("recover", log)
     assert done.returncode == 0
-    assert "no end" in done.stdout
+    assert "was not closed" in done.stdout
     fixed = tmp_path / "flight.recovered.mcap"
     assert statistics(fixed.read_bytes()) == statistics(data)
     done = acquire("recover", fixed, "-o", tmp_path / "again.mcap", "--json")

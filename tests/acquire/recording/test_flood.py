@@ -149,7 +149,12 @@ def test_a_decoder_that_fails_costs_no_frame(tmp_path: Path, monkeypatch: pytest
 
     monkeypatch.setattr(ReceiverDecoder, "feed", stumble)
     rover = {"name": "rover", "protocol": "ubx", "url": "file:x"}
-    done, told = run(configured(rover), tmp_path, said("only raw frames are kept"), sources={"rover": Script([numbered(1)])})
+    done, told = run(
+        configured(rover),
+        tmp_path,
+        said("only raw frames are kept"),
+        sources={"rover": Script([numbered(1)])},
+    )
     assert any("ZeroDivisionError: a week of no days·[2J" in line for line in told)
     assert frames_in(done.paths[0], "rover") == [numbered(1)]
 

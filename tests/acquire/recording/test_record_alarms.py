@@ -24,7 +24,7 @@ def test_a_lost_port_and_a_sender_that_moves_raise_alarms(tmp_path: Path) -> Non
     done, told = run(configured(rover), tmp_path, said("is back"), sources={"rover": source})
     kinds = [alarm.kind for alarm in done.alarms]
     assert kinds == ["source_changed", "lost", "back"]
-    assert "rover comes from another place: 10.0.0.1:2, before 10.0.0.1:1" in told
+    assert "rover data come from another address: 10.0.0.1:2, before 10.0.0.1:1" in told
     assert [json.loads(data)["kind"] for data in messages(done.paths[0], "/alarm")] == kinds
 
 

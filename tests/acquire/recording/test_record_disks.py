@@ -233,7 +233,7 @@ def test_a_disk_that_hangs_sends_the_recording_to_the_next_folder(tmp_path: Path
     hangs.set()
     told += files.close()
     assert [kind for kind, _ in told][:2] == ["disk_slow", "disk_full"]
-    assert "confirmed nothing for 1.5 s" in told[0][1]
+    assert "not confirmed a write for 1.5 s" in told[0][1]
     assert "no answer for 8 s" in told[1][1]
     # Once only, however the disk went on.
     assert _kept(files.paths, tmp_path) == sent

@@ -66,7 +66,7 @@ def test_what_has_no_place(shared: Path, tmp_path: Path) -> None:
         (replace(block, cameras=(additive,)), "no equivalent"),
         (replace(block, cameras=(half,)), "together"),
         (replace(block, images=weighted), "orientations"),
-        (replace(block, points=named), "no number"),
+        (replace(block, points=named), "not a number"),
     ):
         with pytest.raises(InputMalformedError, match=message):
             write_dbat(tmp_path, changed)

@@ -40,7 +40,7 @@ def test_recorded_references(shared: Path) -> None:
         ("#Label,X,Y,Z\na,1,2\n", "3 cells where the header has 4"),
         ("#Label,X,Y,Z\na,1,2,inf\n", "not finite"),
         ("#Label,X,Y,Z\na,1,2,3\na,1,2,3\n", "listed twice"),
-        ('#Label,X,Y,Z\n"a,1,2,3\n', "no row of a table|cells where"),
+        ('#Label,X,Y,Z\n"a,1,2,3\n', "not a row of a table|cells where"),
     ],
 )
 def test_bad_references(tmp_path: Path, text: str, message: str) -> None:

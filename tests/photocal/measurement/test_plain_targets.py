@@ -221,7 +221,7 @@ def test_targets_too_small_to_be_told_from_specks_are_named(field: Field, tmp_pa
     assert found.sought == 0
     said = dict(text.split(": ", 1) for text in found.too_small)
     assert "point P1" in said
-    assert re.fullmatch(r"its cross is seen \d\.\d px wide at most, 12 px are needed", said["point P1"])
+    assert re.fullmatch(r"its cross appears \d\.\d px wide at most, 12 px are needed", said["point P1"])
 
 
 def test_windows_are_as_large_as_the_covariance(field: Field) -> None:

@@ -135,7 +135,7 @@ def test_images_named_by_the_recording_computer(
     figures = json.loads(answer.out)
     assert "mean sea level" in figures["height"]
     # README of the data: played back at about 4.6 times the speed, unevenly.
-    assert any("mostly 4." in remark for remark in figures["remarks"])
+    assert any("mostly at 4." in remark for remark in figures["remarks"])
     assert all(abs(s["rate"] - 1) < 1e-3 for s in figures["clocks"][0]["stretches"])
     assert all(row["yaw_deg"] for row in table(tmp_path / "out" / "exposures.csv"))
 

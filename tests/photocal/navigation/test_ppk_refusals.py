@@ -110,7 +110,7 @@ def test_orthometric_height_of_the_base(photocal: Photocal, static_run: Run, tmp
     base = static_run.figures["base"]
     wrong = f"{base['lat_deg']},{base['lon_deg']},{base['height_m'] - 57}"
     said = refused(photocal, static_run.log, tmp_path, "--base-position", wrong)
-    assert "kind of height" in said
+    assert "height kind" in said
 
 
 def test_unknown_link(photocal: Photocal, static_run: Run, tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ def test_points_lie_inside_and_apart(corners: FloatArray, control: int, check: i
 
 
 def test_layouts_that_orient_nothing_or_have_no_room() -> None:
-    with pytest.raises(ConfigurationError, match="do not orient"):
+    with pytest.raises(ConfigurationError, match="too few to orient"):
         suggest_layout(SQUARE, 2, 10, 5.0)
     with pytest.raises(ConfigurationError, match="no room"):
         suggest_layout(SQUARE, 5, 10, 160.0)

@@ -139,7 +139,7 @@ def test_what_a_product_does_not_show_is_said(tmp_path: Path) -> None:
             lambda p: {"ortho": p.ortho, "target_diameter": 0.3, "search_radius": 2.0},
             "smaller than two cells",
         ),
-        (lambda p: {"dtm": p.dtm}, "not said"),
+        (lambda p: {"dtm": p.dtm}, "not stated"),
         (lambda p: {"dtm": p.dtm, "height_kind": "orthometric"}, "has ellipsoidal heights"),
         (lambda p: {"dtm": p.dtm, "height_kind": "local", "dtm_height_kind": "local"}, "not local ones"),
     ],

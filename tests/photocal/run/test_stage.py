@@ -158,6 +158,10 @@ def test_an_import_counts_however_it_is_written(source: str) -> None:
     assert "p.b" in set(names_in("p.a", source))
 
 
+def test_the_example_of_a_docstring_is_no_import() -> None:
+    assert not set(names_in("p.a", '"""Do it.\n\n    >>> import p.b\n    >>> from p import c\n    """\n'))
+
+
 def test_a_stage_does_not_depend_on_rooms_that_it_does_not_use() -> None:
 
     ppk = needed_modules("photocal.run.ppk", _modules())
