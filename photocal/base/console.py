@@ -36,7 +36,7 @@ LINE_EVERY_S = 10.0
 
 @dataclass(frozen=True)
 class Listed:
-    """A command that is not imported yet: its place ("photocal.commands.plan:flown") and its summary."""
+    """A command that is not imported yet: its place, as module:function, and its summary."""
 
     place: str
     summary: str

@@ -294,12 +294,10 @@ def names_in(module: str, source: str) -> Iterator[str]:
             yield from (f"{origin}.{name}" for name in re.findall(r"\w+", what))
         elif plain:
             yield from re.findall(r"[\w.]+", plain)
-        elif colon:
+        else:
             yield quoted
-            yield f"{module.rpartition('.')[0]}.{quoted}"
-        elif "." in quoted:
-            # The name of a whole package loads none of its modules.
-            yield quoted
+            if colon:
+                yield f"{module.rpartition('.')[0]}.{quoted}"
 
 
 @functools.cache
