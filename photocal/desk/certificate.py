@@ -40,7 +40,7 @@ from photocal.run.stage import made_in
 if TYPE_CHECKING:
     from photocal.report.stored_analysis import AnalysedRun
 
-NAME = "toml"
+NAME = "particulars.toml"
 # Sections and keys of the form, in its order; the file may have more, which stay.
 FORM = {
     "document": ("place", "comments"),

@@ -60,7 +60,7 @@ def test_a_flood_on_one_link_costs_the_others_nothing(tmp_path: Path) -> None:
         opened.callback(flooding.kill)
         sent: list[tuple[float, bytes]] = []
         begin = time.monotonic()
-        told = "l0 more comes than the 4 MB/s that can be recorded"
+        told = "l0 more data arrive than the 4 MB/s that can be recorded"
         while time.monotonic() < begin + 1.5 or not any(told in line for line in recorder.told):
             assert time.monotonic() < begin + PATIENCE_S
             frame = numbered(len(sent))
