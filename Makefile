@@ -28,7 +28,7 @@ help:
 	@echo "make wheel   build the wheel into dist/"
 	@echo "make check   ruff and mypy --strict"
 	@echo "make bench   measure speed"
-	@echo "make evidence  the longest tests, and the statistical studies, into docs/evidence"
+	@echo "make evidence  the statistical studies, into docs/evidence, and the longest tests"
 	@echo "make manual  renew the command pages and the figure of the architecture"
 	@echo "make docs    the docs as a site, into build/site"
 	@echo "make setup   only install (.venv, locked packages, compiled kernels)"
@@ -93,8 +93,8 @@ bench: $(READY)
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-only
 
 evidence: $(READY)
-	$(PYTEST) $(BESIDE) -m long
 	for study in tests/evidence/*.py; do $(BIN)/python -m tests.evidence.$$(basename $$study .py) || exit 1; done
+	$(PYTEST) $(BESIDE) -m long
 
 manual: $(READY)
 	$(BIN)/python -m tests.docs
