@@ -199,7 +199,7 @@ def test_a_run_that_fails_tells_why(tmp_path: Path) -> None:
 
 def test_mistakes_are_one_line(tmp_path: Path) -> None:
     path = project(tmp_path, Errors())
-    assert "take block, calibration" in str(run(str(path), "--until", "ppk").exception)
+    assert "that it has: block, calibration" in str(run(str(path), "--until", "ppk").exception)
     assert isinstance(run(str(path), "--again", "nothing").exception, ConfigurationError)
     assert "same output" in str(run(str(path), str(path)).exception)
     assert isinstance(run(str(tmp_path / "none.toml")).exception, InputNotFoundError)
