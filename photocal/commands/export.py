@@ -31,8 +31,9 @@ def export(
     Example: `photocal export run --format colmap -o colmap`
     """
     from photocal.base.files import output_folder
+    from photocal.base.geodesy import GeodeticPlace
     from photocal.exchange.formats import named
-    from photocal.exchange.reconstruction import Choices, Origin, middle, of_result
+    from photocal.exchange.reconstruction import Choices, middle, of_result
     from photocal.results.folder import read_result
 
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
@@ -40,7 +41,9 @@ def export(
         raise ConfigurationError(f"angle unit {angle_unit!r} is not known", "use deg or gon")
     touching = None
     if origin:
-        touching = Origin(*numbers_of(origin, "--origin", "LATITUDE,LONGITUDE,HEIGHT: degrees, metres"))
+        touching = GeodeticPlace(
+            *numbers_of(origin, "--origin", "LATITUDE,LONGITUDE,HEIGHT: degrees, metres")
+        )
     choices = Choices(cast("Angle", angle_unit) if angle_unit else None, touching, now)
     chosen = named(form)
     adjusted = read_result(run)

@@ -16,10 +16,10 @@ import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
-from photocal.base.geodesy import enu_axes, geocentric, geodetic
+from photocal.base.geodesy import GeodeticPlace, enu_axes, geocentric, geodetic
 from photocal.base.geopackage import LOCAL, Feature, Layer, add_layer, add_table, geopackage, wgs84
 from photocal.exchange.pinhole import to_vision
-from photocal.exchange.reconstruction import Choices, Origin, Reconstruction, to_cartesian, to_wgs84
+from photocal.exchange.reconstruction import Choices, Reconstruction, to_cartesian, to_wgs84
 from photocal.exchange.source import write_xml
 from photocal.geometry.conversion import Conversion
 from photocal.geometry.distortion import undistorted
@@ -28,7 +28,7 @@ from photocal.geometry.distortion import undistorted
 ToGeographic = Callable[[Floats], Floats]
 
 
-def topocentric(origin: Origin) -> ToGeographic:
+def topocentric(origin: GeodeticPlace) -> ToGeographic:
     """Make the way from a topocentric frame (east, north, up) to WGS 84.
 
     raises ConfigurationError: for an origin that is not on the Earth.
@@ -40,7 +40,7 @@ def topocentric(origin: Origin) -> ToGeographic:
             f"origin {origin.latitude_deg}, {origin.longitude_deg}, {origin.height_m} is not on the Earth",
             "give latitude and longitude in degrees, ellipsoidal height in m",
         )
-    middle = geocentric(origin.latitude_deg, origin.longitude_deg, origin.height_m)
+    middle = geocentric(*origin)
     axes = enu_axes(origin.latitude_deg, origin.longitude_deg)
 
     def turn(xyz: Floats) -> Floats:

@@ -9,6 +9,7 @@ import numpy as np
 
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError
+from photocal.base.geodesy import GeodeticPlace
 from photocal.block.model import ROLES, Block, Images, ObjectPoints
 from photocal.block.network import frame_of, observed_pixels
 from photocal.block.rig import Head
@@ -22,23 +23,15 @@ Angle = Literal["deg", "gon"]
 
 
 @dataclass(frozen=True)
-class Origin:
-    """Where a local frame touches the ellipsoid; `height_m`: ellipsoidal."""
-
-    latitude_deg: float
-    longitude_deg: float
-    height_m: float
-
-
-@dataclass(frozen=True)
 class Choices:
     """What some formats must be told.
 
+    origin: where a local frame touches the ellipsoid.
     changed_utc: time that a file may note as that of its making.
     """
 
     angle_unit: Angle | None = None
-    origin: Origin | None = None
+    origin: GeodeticPlace | None = None
     changed_utc: str = "1970-01-01T00:00:00.000Z"
 
 

@@ -324,27 +324,16 @@ def _miss(frame: MarkFrame, carried: Sequence[_Carried], facts: Facts) -> float:
     return float(np.median(misses))
 
 
-@dataclass(frozen=True)
-class SettledMarks:
-    """Marks of known points in pictures that are there, px of the stored grid.
-
-    frame: of the pictures that they were made in.
-    left_out: marks that cannot be used, each with the finding that says why.
-    """
-
-    marks: tuple[Mark, ...]
-    frame: MarkFrame
-    left_out: tuple[tuple[Mark, Finding], ...]
-    findings: tuple[Finding, ...]
-
-
 def settle_marks(
     marks: Sequence[Mark], points: Collection[str], facts: Sequence[ImageFacts], folder: Mapping[str, Path]
-) -> SettledMarks:
+) -> tuple[list[Mark], MarkFrame, list[tuple[Mark, Finding]], list[Finding]]:
     """Settle marks before any work.
 
     points: names of those that are known.
     folder: where the pictures lie, by name.
+    returns: marks of known points in pictures that are there, px of the stored grid; the frame of the
+        pictures that they were made in; marks that cannot be used, each with the finding that says why; and
+        what else was found.
     """
     pictures, names = {image.name: image for image in facts}, frozenset(points)
     left_out = [(mark, cause) for mark in marks if (cause := _unknown(mark, names, pictures)) is not None]
@@ -363,7 +352,7 @@ def settle_marks(
             continue
         figures = {"image": mark.image, "x": mark.x, "y": mark.y}
         left_out.append((given, Finding("mark-outside", "doubtful", mark.point, figures)))
-    return SettledMarks(tuple(kept), frame, tuple(left_out), tuple(findings))
+    return kept, frame, left_out, findings
 
 
 def _unknown(mark: Mark, points: Collection[str], pictures: Collection[str]) -> Finding | None:

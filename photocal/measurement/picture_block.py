@@ -237,8 +237,8 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     start = _start(known, control, tracked.facts, given)
     targets = _targets(known, tracked.sources, control.points, plan, progress)
     folder = {path.name: path for path in known.paths}
-    settled = settle_marks(control.marks, control.points.names, tracked.facts, folder)
-    block, _ = with_marks(start, (*settled.marks, *targets.marks))
+    settled, _, unused, settling = settle_marks(control.marks, control.points.names, tracked.facts, folder)
+    block, _ = with_marks(start, (*settled, *targets.marks))
     positions_known = np.isfinite(start.images.values[:, 3:]).all(axis=1).any()
     if project is not None and not positions_known and not block.points.of_role("control").any():
         block = replace(block, datum="free")
@@ -262,7 +262,7 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     suspects = suspected_marks(final)
     bare = [Finding("no-coordinates", "doubtful", point) for point in control.without_coordinates]
     left_out = (*tracked.left_out, *oriented.left_out)
-    lost = [*settled.findings, *(finding for _, finding in settled.left_out)]
+    lost = [*settling, *(finding for _, finding in unused)]
     marks = findings_of_marks(lost, targets.strangers, suspects, left_out)
     if given is None:
         names, members = group_cameras(tracked.facts)
@@ -281,7 +281,7 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
         "marks": {"by_hand": len(control.marks), "targets": len(targets.marks), "used": used},
         "targets": targets.record,
         "positions": positions if known.starts is None else None,
-        "unknown_marks": [f"{m.point} in {m.image}" for m, _ in settled.left_out],
+        "unknown_marks": [f"{m.point} in {m.image}" for m, _ in unused],
         "unknown_targets": list(targets.strangers),
         "suspected_marks": suspects,
         **as_record([*targets.findings, *strays, *bare, *findings, *marks]),

@@ -62,7 +62,7 @@ def measure_board(paths: Sequence[Path], board: Board, name: str, progress: Prog
         facts, view = read_facts(path), find_board(read_grey(path), board)
         if view is None:
             raise InputNotFoundError("the board was not found", where=path)
-        return TargetView(facts, view.corners, view.pixels, view.sigmas)
+        return TargetView(facts, *view)
 
     with progress("measuring the board", len(paths)) as done:
         views, left_out = each_picture(paths, measure, done)

@@ -133,24 +133,15 @@ def counter_jumps(count: Integers, edge: str) -> list[str]:
     ]
 
 
-@dataclass(frozen=True)
-class LoggedExposures:
-    """What `/camera/exposure` of a flight log tells.
-
-    told: exposures that autopilot or camera reported, one `Events` per message.
-    marks: edges that were decoded when they were logged, by the link and the message that told them.
-    """
-
-    told: list[Events]
-    marks: dict[tuple[str, str], TimeMarks]
-
-
 @lru_cache(maxsize=1)
-def logged_exposures(log: FlightLog) -> LoggedExposures:
-    """Read the exposures of a flight log.
+def logged_exposures(log: FlightLog) -> tuple[list[Events], dict[tuple[str, str], TimeMarks]]:
+    """Read `/camera/exposure` of a flight log.
 
     Exposures without a device time are left out and counted: the time of receipt is not that of the
     exposure. An exposure that came twice (over two links) counts once.
+
+    returns: exposures that autopilot or camera reported, one `Events` per message; and edges that were
+        decoded when they were logged, by the link and the message that told them.
     """
     exposures: dict[str, dict[tuple[int, int], tuple[float, ...]]] = {}
     untimed: dict[str, int] = {}
@@ -172,10 +163,8 @@ def logged_exposures(log: FlightLog) -> LoggedExposures:
                     "run acquire recover",
                     where=log,
                 ) from damage
-    return LoggedExposures(
-        [_logged(source, rows, untimed.get(source, 0)) for source, rows in exposures.items()],
-        {told: _as_marks(rows) for told, rows in marks.items()},
-    )
+    told = [_logged(source, rows, untimed.get(source, 0)) for source, rows in exposures.items()]
+    return told, {source: _as_marks(rows) for source, rows in marks.items()}
 
 
 def _mark(number: int, row: dict[str, Any]) -> tuple[int, ...]:

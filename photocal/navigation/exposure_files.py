@@ -9,7 +9,7 @@ import numpy as np
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_picture, write_rows
-from photocal.base.geodesy import enu_axes, enu_offsets
+from photocal.base.geodesy import GeodeticPlace, enu_axes, enu_offsets
 from photocal.navigation.exposure_run import ExposureRun
 from photocal.navigation.exposure_sources import ELLIPSOIDAL
 from photocal.navigation.exposures import Exposures, Orientations, names_cell, orientations
@@ -246,11 +246,11 @@ def write_geopackage_of(
 ) -> None:
     """Write the exposures with image and position for a GIS: WGS 84, angles in the topocentric frame."""
     from photocal.exchange.geographic import topocentric, write_geopackage
-    from photocal.exchange.reconstruction import Origin, Reconstruction
+    from photocal.exchange.reconstruction import Reconstruction
     from photocal.geometry.camera import camera as nominal
 
     rows, xyz, (angles, covariance), frame = _oriented(exposures, rig, None)
-    origin = Origin(*frame["origin_lat_lon_height"])
+    origin = GeodeticPlace(*frame["origin_lat_lon_height"])
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))[:, [3, 4, 5, 0, 1, 2]]
     names = [exposures.images[row] for row in rows.tolist()]
     every = np.repeat(np.arange(len(rows)), [len(of_row) for of_row in names])

@@ -64,13 +64,13 @@ def _effects(solution: NetworkSolution, row: int) -> list[dict[str, Any]]:
 
 def _marks(solution: NetworkSolution) -> list[dict[str, Any]]:
     local = _local_covariances(solution)
-    confidence = ellipses(local, policy.confidence)
+    semi_axes, azimuth = ellipses(local, policy.confidence)
     columns = {
         "name": solution.names,
         **dict(zip(("lat_deg", "lon_deg", "height_m"), geodetic(solution.xyz_m), strict=True)),
         "sigma_enu_m": _sigma(local),
-        "ellipse_95_m": confidence.semi_axes,
-        "ellipse_azimuth_deg": np.degrees(confidence.azimuth),
+        "ellipse_95_m": semi_axes,
+        "ellipse_azimuth_deg": np.degrees(azimuth),
     }
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 

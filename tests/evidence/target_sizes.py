@@ -214,8 +214,9 @@ def in_whole_image(kind: str, seen: View, _: np.random.Generator) -> Found:
     board = find_board(seen.grey, BOARD)
     if board is None:
         return []
-    truth = seen.place(2 * BOARD.points()[board.corners, :2] * [1, -1] - np.array(BOARD.inner) + [1, 1])
-    return [(c.column, c.row, *c.sigma, *t) for c, t in zip(board.centres, truth.tolist(), strict=True)]
+    corners, pixels, sigmas = board
+    truth = seen.place(2 * BOARD.points()[corners, :2] * [1, -1] - np.array(BOARD.inner) + [1, 1])
+    return list(map(tuple, np.hstack([pixels, sigmas, truth]).tolist()))
 
 
 WAYS: dict[str, Callable[[str, View, np.random.Generator], Found]] = {

@@ -14,8 +14,9 @@ from xml.etree.ElementTree import parse
 import numpy as np
 import pytest
 
+from photocal.base.geodesy import GeodeticPlace
 from photocal.exchange.geographic import footprints, topocentric, write_geojson, write_geopackage, write_kml
-from photocal.exchange.reconstruction import Choices, Origin, Reconstruction
+from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.geometry.camera import PARAMETERS
 
 
@@ -39,7 +40,7 @@ def test_topocentric_against_the_textbook() -> None:
     up = np.array([math.cos(lat) * math.cos(lon), math.cos(lat) * math.sin(lon), math.sin(lat)])
     local = np.array([120.0, -340.0, 25.0])
     there = geocentric(lat, lon, h) + local @ np.array([east, np.cross(up, east), up])
-    found = topocentric(Origin(47.3, 8.6, 450.0))(local[None])[0]
+    found = topocentric(GeodeticPlace(47.3, 8.6, 450.0))(local[None])[0]
     back = geocentric(math.radians(found[1]), math.radians(found[0]), found[2])
     assert np.abs(back - there).max() < 1e-6
 
@@ -60,7 +61,7 @@ def test_footprint_of_a_vertical_image(vision: Reconstruction) -> None:
 
 
 def test_geojson_and_kml(tmp_path: Path, vision: Reconstruction) -> None:
-    choices = Choices(origin=Origin(47.3, 8.6, 450.0))
+    choices = Choices(origin=GeodeticPlace(47.3, 8.6, 450.0))
     write_geojson(tmp_path / "b.geojson", vision, choices)
     write_kml(tmp_path / "b.kml", vision, choices)
     content = json.loads((tmp_path / "b.geojson").read_text())
@@ -77,8 +78,8 @@ def test_geojson_and_kml(tmp_path: Path, vision: Reconstruction) -> None:
     assert len(root.findall(".//{http://www.opengis.net/kml/2.2}Placemark")) == len(content["features"])
 
 
-@pytest.mark.parametrize("origin", [None, Origin(47.3, 8.6, 450.0)])
-def test_geopackage(tmp_path: Path, vision: Reconstruction, origin: Origin | None) -> None:
+@pytest.mark.parametrize("origin", [None, GeodeticPlace(47.3, 8.6, 450.0)])
+def test_geopackage(tmp_path: Path, vision: Reconstruction, origin: GeodeticPlace | None) -> None:
     """Read with plain SQLite by the standard's layout (OGC 12-128r15, clause 2.1.3)."""
     path = tmp_path / "b.gpkg"
     write_geopackage(

@@ -181,7 +181,7 @@ def test_boards_in_all_depths(tmp_path: Path) -> None:
     for view in found[1:]:
         assert view is not None
         assert found[0] is not None
-        assert view.pixels == pytest.approx(found[0].pixels, abs=0.02)
+        assert view[1] == pytest.approx(found[0][1], abs=0.02)
 
 
 def test_a_folder_of_wrecks_is_measured_without_a_traceback(

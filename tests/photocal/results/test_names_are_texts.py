@@ -15,10 +15,11 @@ import pytest
 import photocal
 from photocal.base.codec import same
 from photocal.base.errors import PhotocalError
+from photocal.base.geodesy import GeodeticPlace
 from photocal.block.model import Block
 from photocal.block.writer import write_block
 from photocal.exchange.formats import FORMATS, read_foreign_block
-from photocal.exchange.reconstruction import Choices, Origin, Reconstruction, of_block, of_result
+from photocal.exchange.reconstruction import Choices, Reconstruction, of_block, of_result
 from photocal.navigation.image_checks import oriented_images
 from photocal.results.folder import read_result, write_result
 from photocal.results.result import Result
@@ -33,7 +34,7 @@ NUMBERED = {
     "photomodeler": "points",
     "dbat": "both",
 }
-CHOICES = Choices("deg", Origin(-22.0, -51.0, 400.0))
+CHOICES = Choices("deg", GeodeticPlace(-22.0, -51.0, 400.0))
 
 
 def simulated() -> Block:
