@@ -220,7 +220,7 @@ def test_sizes_of_marks_are_shown_in_the_pictures_and_chosen(window: Client, hom
     converted = (folder / "marks.csv").read_text()
     # The height is still asked for; the pictures are seen all the same.
     mark = told["frames"][0]["marks"][0]
-    assert good(window.get(f"/api/look/tiles/{mark['image']}/0/0/0")).headers["content-type"] == "image/jpeg"
+    assert good(window.get(f"/api/tiles/{mark['image']}/0/0/0")).headers["content-type"] == "image/jpeg"
     chosen = good(window.post("/api/new", {"marks": "1"})).json["said"]
     assert (chosen["marks"], chosen["frames"]) == ("1", told["frames"])
     assert (folder / "marks.csv").read_text() != converted
