@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photocal.adjustment.adjust import adjust
+from photocal.adjustment.adjust import adjusted_network
+from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.groups import groups_of_rays
 from photocal.adjustment.network import Network
 from photocal.adjustment.solution import Group, Solution
@@ -57,14 +58,22 @@ class Component:
 class VarianceComponents:
     """Estimated variance components and the adjustment with them.
 
-    network: with the standard deviations that were found.
-    solution: its adjustment.
+    fitted: the network with the standard deviations that were found, adjusted.
     """
 
     components: tuple[Component, ...]
-    network: Network
-    solution: Solution
+    fitted: AdjustedNetwork
     rounds: int
+
+    @property
+    def network(self) -> Network:
+        """With the standard deviations that were found."""
+        return self.fitted.network
+
+    @property
+    def solution(self) -> Solution:
+        """The adjustment of the network."""
+        return self.fitted.solution
 
 
 def rays_together(network: Network) -> RayGroups:
@@ -89,7 +98,7 @@ def estimate_components(
     """Estimate the variance of each group of observations.
 
     hold: groups whose variance stays as it is given.
-    start: values of all unknowns to start from.
+    start: of a minimum with other standard deviations: the last round's adjustment is then the last.
     settled: share of itself by which a variance may still change.
     raises IllPosedError: when the network is singular, or a variance runs to zero.
     raises NotConvergedError: when the variances do not settle.
@@ -104,15 +113,17 @@ def estimate_components(
     fewest = 1.0
     for rounds in range(1, most_rounds + 1):
         scaled = with_factors(network, rays, factors)
-        solution = adjust(scaled, report, state)
-        state = solution.state
+        fitted = adjusted_network(scaled, report, state)
+        solution, state = fitted.solution, fitted.state
         groups = groups_of_rays(scaled, solution, rays.names, rays.group)
         groups += [group for group in solution.groups if group.name != "image"]
         free = [g for g in groups if g.name not in hold and g.redundancy > fewest]
         change = {group.name: group.chi_squared / group.redundancy for group in free}
         if all(abs(share - 1) < settled for share in change.values()):
-            solution = adjust(scaled, report, start)
-            return VarianceComponents(_components(groups, change, factors), scaled, solution, rounds)
+            if start is None:
+                # What is reported begins where the block does, however the sigmas were found.
+                fitted = adjusted_network(scaled, report)
+            return VarianceComponents(_components(groups, change, factors), fitted, rounds)
         for name, share in change.items():
             factors[name] = factors.get(name, 1.0) * float(np.sqrt(share))
             if factors[name] ** 2 < vanished:

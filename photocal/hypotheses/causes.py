@@ -8,6 +8,7 @@ import numpy as np
 from scipy import special
 
 from photocal.adjustment.adjusted import AdjustedNetwork
+from photocal.adjustment.condensed import Observed, observed
 from photocal.adjustment.covariance import Shared
 from photocal.adjustment.factored import factored
 from photocal.adjustment.groups import Member, member_tests
@@ -64,12 +65,14 @@ class Cause:
 class Candidates:
     """All causes that may be, in one system, at the minimum of a network.
 
+    given: what the values of what images share bring, as the network states them.
     beside: places of what has been accepted before and is estimated with all else.
     lengths (e,): of what each added unknown changes, weighted and squared, whatever follows.
     """
 
     adjusted: AdjustedNetwork
     whole: System
+    given: Observed
     causes: tuple[Cause, ...]
     fields: tuple[RayField, ...]
     beside: tuple[int, ...]
@@ -81,20 +84,19 @@ class Candidates:
         """What was adjusted."""
         return self.adjusted.network
 
-    def stated(self, causes: Iterable[Cause]) -> tuple[tuple[Camera, ...], Mounting]:
-        """Cameras and mounting with what some causes free."""
-        return freed(self.network, causes)
+    def stated(self, causes: Sequence[Cause]) -> Observed:
+        """What values of what images share bring with what some causes free: most free nothing of it."""
+        opens = any(cause.fault.frees for cause in causes)
+        return observed(self.whole.shared, *freed(self.network, causes)) if opens else self.given
 
     def fall(self, causes: Sequence[Cause]) -> tuple[float, int]:
         """Give v'Pv and degrees of freedom with some causes free.
 
         raises IllPosedError: when they cannot be told from what is free already.
         """
-        cameras, mounting = self.stated(causes)
+        here = self.stated(causes)
         added = [k for cause in causes if cause.fixed is None for k in cause.added]
-        matrix, right, chosen, chi_squared, freedom = self.whole.equations(
-            cameras, mounting, (*self.beside, *added)
-        )
+        matrix, right, chosen, chi_squared, freedom = self.whole.equations(here, (*self.beside, *added))
         for cause in causes:
             if cause.fixed is not None:
                 at, amount = self.whole.border + np.array(cause.added), np.array(cause.fixed)
@@ -105,10 +107,10 @@ class Candidates:
 
     def solved(self, causes: Sequence[Cause]) -> tuple[Shared, dict[tuple[str, str], tuple[Floats, Floats]]]:
         """Give what is shared with some causes free, and the amounts of what was added, with covariances."""
-        cameras, mounting = self.stated(causes)
+        here = self.stated(causes)
         free = [cause for cause in causes if cause.fixed is None and cause.added]
         added = [k for cause in free for k in cause.added]
-        shared, amounts, spread = self.whole.solved(cameras, mounting, (*added, *self.beside))
+        shared, amounts, spread = self.whole.solved(here, (*added, *self.beside))
         told, at = {}, 0
         for cause in free:
             part = slice(at, at + len(cause.added))
@@ -120,8 +122,8 @@ class Candidates:
         """What is left of the amounts of fields that were corrected, where it is more than a trace."""
         if not self.beside:
             return {}
-        cameras, mounting = self.stated(())
-        _, amounts, spread = self.whole.solved(cameras, mounting, self.beside)
+        here = self.stated(())
+        _, amounts, spread = self.whole.solved(here, self.beside)
         keys = [(self.fields[k].code, subject_of(self.network, self.fields[k])) for k in self.beside]
         sigma = np.sqrt(np.diag(spread))
         # Less of its sigma is no more than a trace of an amount.
@@ -136,10 +138,10 @@ class Candidates:
         """Whether what a cause adds is something beside all other unknowns, and may be large enough."""
         if cause.field is None and cause.trend is None:
             return True
-        cameras, mounting = self.stated((cause,))
+        here = self.stated((cause,))
         added = (*self.beside, *cause.added)
         try:
-            matrix, *_ = self.whole.equations(cameras, mounting, added)
+            matrix, *_ = self.whole.equations(here, added)
             left = 1.0 / np.diag(np.linalg.inv(matrix))[-len(cause.added) :]
         except (IllPosedError, np.linalg.LinAlgError):
             return False
@@ -218,7 +220,8 @@ def candidates(
             network.points.weight[rows[:, 0], rows[:, 1], rows[:, 1]],
         ]
     )
-    made = Candidates(adjusted, whole, (), fields, again, members, lengths)
+    given = observed(whole.shared, network.cameras, network.mounting)
+    made = Candidates(adjusted, whole, given, (), fields, again, members, lengths)
     taken = set(beside)
     kept = tuple(cause for cause in listed if cause.key not in taken and made.determined(cause))
     return replace(made, causes=kept)

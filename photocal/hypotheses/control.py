@@ -9,11 +9,11 @@ import numpy as np
 from scipy import special
 from scipy.linalg import block_diag
 
-from photocal.adjustment.adjust import adjust
-from photocal.adjustment.factored import factored
+from photocal.adjustment.adjust import adjusted_network
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
+from photocal.adjustment.state import State
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import PhotocalError
 from photocal.base.policy import policy
@@ -119,8 +119,11 @@ def survey_covariance(network: Network, control: Integers) -> Floats:
     return np.asarray(np.linalg.inv(np.where(both, weight, 1e8 * np.eye(3))))
 
 
-def predicted(network: Network) -> Predicted | None:
-    """Adjust without control, and give the places of its points; None where that cannot be."""
+def predicted(network: Network, state: State | None = None) -> Predicted | None:
+    """Adjust without control, and give the places of its points; None where that cannot be.
+
+    state: to start from, of the network with its control.
+    """
     control = control_points(network)
     if len(control) < policy.fewest_control_to_blame:
         return None
@@ -136,12 +139,12 @@ def predicted(network: Network) -> Predicted | None:
         alone = replace(alone, points=free, datum_points=np.zeros(0, dtype=np.int64))
     try:
         with because("control points predicted without themselves"):
-            solution = adjust(alone)
+            fitted = adjusted_network(alone, state=state)
         names = [("point", network.point_names[j]) for j in control]
-        covariance = joint_covariance(factored(alone, solution.state), names)[1]
+        covariance = joint_covariance(fitted.factored, names)[1]
     except PhotocalError:
         return None
-    computed = solution.points[control]
+    computed = fitted.state.points[control]
     relative = computed - computed.mean(axis=0)
     common = np.tile(np.eye(3), (len(control), 1))
     if not len(network.positions.image):

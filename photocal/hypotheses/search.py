@@ -269,7 +269,7 @@ def _contradicted(given: AdjustedNetwork) -> Contradiction | WrongSigmas | None:
         return None
     if of_rays < 1.0 and control is None:
         return None
-    seen = predicted(given.network)
+    seen = predicted(given.network, given.state)
     return None if seen is None else contradiction(seen)
 
 

@@ -6,7 +6,7 @@ or errors of rays, positions and control points are added (Rao 1948): fall of v'
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from photocal.adjustment.datum import full_solution
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.factored import Factored
 from photocal.adjustment.joint import AT_ONCE
-from photocal.adjustment.mounting import Mounting
 from photocal.adjustment.score import pulled
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError
@@ -47,20 +46,13 @@ class System:
     """The equations of what images share (`shared`), and of what is added behind it.
 
     matrix (k + e, k + e), right (k + e,): of steps from the state; zero is the state.
+    there: what the values of what is shared bring to them, as everything that may be freed is free.
     """
 
     shared: Condensed
     matrix: Floats
     right: Floats
-    _known: list[tuple[tuple[Camera, ...], Mounting, Observed]] = field(default_factory=list, repr=False)
-
-    def _brought(self, cameras: tuple[Camera, ...], mounting: Mounting) -> Observed:
-        """What the values of what is shared bring: most causes leave these very ones as they are."""
-        for others, other, brought in self._known:
-            if others is cameras and other is mounting:
-                return brought
-        self._known.append((cameras, mounting, observed(self.shared, cameras, mounting)))
-        return self._known[-1][2]
+    there: Observed
 
     @property
     def border(self) -> int:
@@ -68,15 +60,14 @@ class System:
         return len(self.shared.right)
 
     def equations(
-        self, cameras: tuple[Camera, ...], mounting: Mounting, added: Sequence[int] | Integers
+        self, here: Observed, added: Sequence[int] | Integers
     ) -> tuple[Floats, Floats, Integers, float, int]:
-        """Equations with these standard deviations of what is shared, and some of what is added.
+        """Equations with what other values of what is shared bring, and some of what is added.
 
         returns: matrix and right side of the unknowns, their places, v'Pv and degrees of freedom with all
             unknowns at the state.
         """
-        there = self._brought(self.shared.cameras, self.shared.mounting)
-        here = self._brought(cameras, mounting)
+        there = self.there
         extra = self.border + np.asarray(added, dtype=np.int64)
         chosen = np.concatenate([np.flatnonzero(here.unknown), extra])
         matrix, right = self.matrix.copy(), self.right.copy()
@@ -90,14 +81,12 @@ class System:
             self.shared.degrees_of_freedom + here.redundancy - there.redundancy - len(extra),
         )
 
-    def solved(
-        self, cameras: tuple[Camera, ...], mounting: Mounting, added: Sequence[int] | Integers = ()
-    ) -> tuple[Shared, Floats, Floats]:
+    def solved(self, here: Observed, added: Sequence[int] | Integers = ()) -> tuple[Shared, Floats, Floats]:
         """Give the minimum: what is shared, and what was added with its covariance.
 
         raises IllPosedError: when the equations are singular.
         """
-        matrix, right, chosen, chi_squared, freedom = self.equations(cameras, mounting, added)
+        matrix, right, chosen, chi_squared, freedom = self.equations(here, added)
         try:
             covariance = np.linalg.inv(matrix)
         except np.linalg.LinAlgError:
@@ -119,15 +108,16 @@ def system(at: Factored, residuals: Floats, added: Added) -> System:
     residuals (rays, 2): there, computed minus measured.
     """
     whole = condensed(at)
+    there = observed(whole, whole.cameras, whole.mounting)
     if not added.count:
-        return System(whole, whole.matrix, whole.right)
+        return System(whole, whole.matrix, whole.right, there)
     band = at.problem.layout.envelope.band
     steps, own, slope = _further(at, residuals, added)
     follow = steps[:, band:]
     across = whole.matrix @ follow.T
     corner = own + follow @ across
     matrix = np.block([[whole.matrix, across], [across.T, (corner + corner.T) / 2]])
-    return System(whole, matrix, np.concatenate([whole.right, -slope]))
+    return System(whole, matrix, np.concatenate([whole.right, -slope]), there)
 
 
 def _further(at: Factored, residuals: Floats, added: Added) -> tuple[Floats, Floats, Floats]:

@@ -9,7 +9,10 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from photocal.adjustment.network import covariance_matrices
+from photocal.base.arrays import Flags
 from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.base.geodesy import enu_axes
 from photocal.block.model import Block, ObjectPoints, Role
 from photocal.block.table import read_table, refuse
 from photocal.exchange.ground_points import read_gcp_list, read_gcp_rows
@@ -138,9 +141,9 @@ def read_typed_list(path: Path, sigma_m: Sigma) -> ControlMarks:
 
 
 def in_map_system(given: ControlMarks) -> ControlMarks:
-    """Take geographic coordinates to the UTM zone of their middle; others stay as they are.
+    """Take geographic and geocentric coordinates to the UTM zone of their middle; others stay as they are.
 
-    Heights stay as they are.
+    Heights stay as they are; those of geocentric coordinates count from the ellipsoid.
     """
     from pyproj import Transformer
     from pyproj.aoi import AreaOfInterest
@@ -155,10 +158,13 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
         raise ConfigurationError(
             f"system {given.crs!r} of the control points is not known", "write it as EPSG:32722"
         ) from refusal
+    points = given.points
+    if system.is_geocentric:
+        system, points = _geographic(system, points)
     if not system.is_geographic:
         authority = system.to_authority()
         return replace(given, crs=":".join(authority) if authority else given.crs)
-    longitude, latitude = given.points.values[:, :2].mean(axis=0).tolist()
+    longitude, latitude = points.values[:, :2].mean(axis=0).tolist()
     if not (abs(latitude) <= 84 and abs(longitude) <= 180):
         raise ConfigurationError(
             f"control at longitude {longitude:.6f}, latitude {latitude:.6f} is impossible",
@@ -168,10 +174,38 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
     zone = query_utm_crs_info("WGS 84", area)[0]
     name = f"{zone.auth_name}:{zone.code}"
     east, north = Transformer.from_crs(system.to_2d(), name, always_xy=True).transform(
-        given.points.values[:, 0], given.points.values[:, 1], errcheck=True
+        points.values[:, 0], points.values[:, 1], errcheck=True
     )
-    values = np.column_stack([east, north, given.points.values[:, 2]])
-    return replace(given, crs=name, points=replace(given.points, values=values))
+    values = np.column_stack([east, north, points.values[:, 2]])
+    return replace(given, crs=name, points=replace(points, values=values))
+
+
+def _geographic(system: Any, points: ObjectPoints) -> tuple[Any, ObjectPoints]:
+    """Take geocentric points to longitude, latitude and ellipsoidal height, with sigmas east, north, up."""
+    from pyproj import CRS, Transformer
+    from pyproj.crs import GeographicCRS
+    from pyproj.crs.coordinate_system import Ellipsoidal3DCS
+
+    geographic = CRS(GeographicCRS(datum=system.datum, ellipsoidal_cs=Ellipsoidal3DCS()).to_wkt())
+    there = Transformer.from_crs(system, geographic, always_xy=True)
+    x, y, z = points.values.T
+    values = np.column_stack(there.transform(x, y, z, errcheck=True))
+    # Nobody surveys farther from the ellipsoid, m.
+    highest = 20e3
+    if not (np.abs(values[:, 2]) < highest).all():
+        raise ConfigurationError(
+            f"control that {system.name} would place {np.abs(values[:, 2]).max() / 1e3:.0f} km from the "
+            "ellipsoid is not geocentric",
+            'write the map system of the coordinates, such as "EPSG:31982"',
+        )
+    turn = enu_axes(values[:, 1], values[:, 0])
+    # What only some axes hold or observe has no sigmas along others.
+    whole: Flags = np.asarray((np.isfinite(points.sigma) & (points.sigma > 0.0)).all(axis=1))
+    cross = np.zeros_like(points.sigma) if points.cross is None else points.cross
+    covariance = covariance_matrices(np.where(whole[:, None], points.sigma, 1.0), cross)
+    variance = np.einsum("nab,nbc,nac->na", turn, covariance, turn)
+    sigma = np.where(whole[:, None], np.sqrt(variance), points.sigma)
+    return geographic, replace(points, values=values, sigma=sigma, cross=None)
 
 
 def _chunk(path: Path) -> Element:

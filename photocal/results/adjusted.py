@@ -209,6 +209,12 @@ def state_of(assembly: NetworkOfBlock, result: Result) -> State | None:
     common, found = start.common.copy(), list((result.mounting or {}).values())
     common[: len(found)] = [value.value for value in found]
     common[BORESIGHT] = np.radians(common[BORESIGHT]) if found else common[BORESIGHT]
+    of_heads = head_values(network, common)
+    for head in result.heads:
+        values = np.array([head.values[key].value for key in OF_HEAD])
+        values[TURN] = np.radians(values[TURN])
+        of_heads[[network.cameras[k].id for k in network.rig.camera].index(head.camera)] = values
+    common[len(common) - of_heads.size :] = of_heads.ravel()
     points = result.points.values[[point[name] for name in network.point_names]]
     return replace(
         start,

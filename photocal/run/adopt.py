@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import f
 
-from photocal.adjustment.factored import factored
 from photocal.adjustment.groups import member_tests
 from photocal.adjustment.mounting import Positions
 from photocal.adjustment.network import covariance_matrices
@@ -35,7 +34,14 @@ from photocal.exchange.formats import read_foreign_project
 from photocal.exchange.quality_report import QualityReport, report_of
 from photocal.measurement.measurement_record import SCHEMA as MEASURED
 from photocal.measurement.measurement_record import MeasuredBlock
-from photocal.results.adjusted import adjust_block, adjust_network, adjusted, result_of
+from photocal.results.adjusted import (
+    adjust_block,
+    adjust_network,
+    adjusted,
+    network_of,
+    result_of,
+    state_of,
+)
 from photocal.results.result import Result
 from photocal.run.adopt_rays import (
     by_rays_alone,
@@ -204,7 +210,7 @@ def adopt(
     with step("analysis"):
         hidden = analyse_run(run, source).findings
     with step("sigmas of control and positions"):
-        sigmas = sigma_figures(foreign, result, _as_residuals_agree(block))
+        sigmas = sigma_figures(foreign, result, _as_residuals_agree(block, result))
     control = control_figures(foreign, result)
     figures = {
         "schema": SCHEMA,
@@ -317,15 +323,17 @@ def _weighted(foreign: ForeignProject) -> ForeignProject:
     return replace(foreign, block=replace(block, global_test=(block.global_test[0], "none")))
 
 
-def _as_residuals_agree(block: Block) -> dict[str, Floats]:
+def _as_residuals_agree(block: Block, result: Result) -> dict[str, Floats]:
     """Variances of control points and of positions along the axes, m^2, (3,), that the residuals show."""
-    network = assemble(block).network
+    assembly = network_of(block, result)
     try:
         # Sigmas are found to one per cent.
         settled = 0.02
         # Frames may be as stiff as they are stated to be, or stiffer.
-        estimated = estimate_components(network, hold=("rig",), settled=settled)
-        members = member_tests(factored(estimated.network, estimated.solution.state), estimated.solution)
+        estimated = estimate_components(
+            assembly.network, hold=("rig",), start=state_of(assembly, result), settled=settled
+        )
+        members = member_tests(estimated.fitted.factored, estimated.solution)
     except (IllPosedError, NotConvergedError):
         return {}
     points, positions = estimated.network.points, estimated.network.positions

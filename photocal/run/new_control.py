@@ -281,6 +281,11 @@ def _resolved(made: NewControl, text: str, placed: Sequence[ImageFacts], *, plac
             made.asked.append(f'crs: {text!r}{wrong}: write a map system (such as "EPSG:31982"), or "local"')
             return ""
         made.points = moved.points
+        if system.is_geocentric:
+            made.height = "ellipsoidal"
+            made.known.append(
+                f"control: geocentric coordinates, taken to {moved.crs} and ellipsoidal heights"
+            )
         return moved.crs
     offers = called(text, xy if len(xy) else None)
     if len(offers) == 1 and is_meant(text, offers[0]):

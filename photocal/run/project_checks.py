@@ -173,7 +173,9 @@ def unfit(crs: str) -> str:
     except CRSError:
         return " is not a known coordinate system"
     level = system.sub_crs_list[0] if system.is_compound else system
-    if level.is_geographic or level.is_geocentric:
+    if level.is_geocentric:
+        return f" ({level.name}) is geocentric, not a map system: photocal new takes its points to one"
+    if level.is_geographic:
         return f" ({level.name}) is not a map system: degrees cannot be adjusted"
     if (unit := level.axis_info[0].unit_name) != "metre":
         return f" ({level.name}) is in {unit}, not in metres"

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from scipy import stats
+
+from photocal.base.policy import policy
 from photocal.findings.texts import catalogue
 from photocal.hypotheses.table import FAULTS, SYMPTOMS, Fault
 
@@ -17,12 +21,50 @@ where there is something to do, `remedy.CODE` in `findings_en.toml` and `finding
 | code | what is wrong | the search frees or adds | prior (m, rad, s, share of c) | what it looks like |
 |---|---|---|---|---|
 """
+# Of control by the coordinates that others check, and the share of cases.
+REDUNDANCY, SHARES = (2, 3, 4, 6, 8, 12, 20, 30), (policy.power, 0.95)
 
 
 def page() -> str:
     """Write the page."""
     symptoms = ", ".join(f"`{code}`" for code in SYMPTOMS)
-    return f"{HEAD}{''.join(map(_row, FAULTS))}\nWhat follows of them and goes with them: {symptoms}.\n"
+    return (
+        f"{HEAD}{''.join(map(_row, FAULTS))}\nWhat follows of them and goes with them: {symptoms}.\n"
+        f"{_scatter()}"
+    )
+
+
+def found_factor(redundancy: float, share: float) -> float:
+    """Give the factor of too small sigmas that a test of their v'Pv finds in a share of cases."""
+    limit = stats.chi2.isf(policy.significance / 2.0, redundancy)
+    return float(np.sqrt(limit / stats.chi2.ppf(1.0 - share, redundancy)))
+
+
+def _scatter() -> str:
+    """How wrong the sigmas of control must be to be found: what few coordinates can tell."""
+    rows = "".join(
+        f"| {r} | {' | '.join(f'{found_factor(r, share):.1f}' for share in SHARES)} |\n" for r in REDUNDANCY
+    )
+    example = float(np.hypot(2, 5) / 2)
+    few, many = (_power(redundancy, example) for redundancy in (6, 12))
+    return f"""
+## Control that is worse than stated
+
+v'Pv of an axis of control is judged against chi-squared (two-sided, {policy.significance:.1%}). By how many
+times the stated sigmas must be too small for this test alone to find them, by the redundancy of that axis:
+its coordinates, less what they determine themselves. Fewer are named where a cause explains as much.
+
+| redundancy | {" | ".join(f"found in {share:.0%}" for share in SHARES)} |
+|---|---|---|
+{rows}
+Heights stated 2 cm that err by 5 cm more are wrong by the root of 2² + 5² over 2, {example:.1f}: of six
+redundant ones the test finds that in {few:.0%} of cases, of twelve in {many:.0%}.
+"""
+
+
+def _power(redundancy: float, factor: float) -> float:
+    limit = stats.chi2.isf(policy.significance / 2.0, redundancy)
+    return float(stats.chi2.sf(limit / factor**2, redundancy))
 
 
 def _row(one: Fault) -> str:

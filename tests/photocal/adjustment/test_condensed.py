@@ -9,6 +9,7 @@ import pytest
 
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.adjusted import fit
+from photocal.adjustment.condensed import observed
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.network import assemble
@@ -40,7 +41,7 @@ def test_freeing_is_predicted(block: Block, fault: Fault) -> None:
     given = opened(block)
     network = assemble(block).network
     cameras, mounting = freed(network, (Cause(fault),))
-    predicted = given.whole.solved(cameras, mounting)[0]
+    predicted = given.whole.solved(observed(given.whole.shared, cameras, mounting))[0]
     adjusted = adjust(replace(network, cameras=cameras, mounting=mounting))
     assert predicted.degrees_of_freedom == adjusted.degrees_of_freedom
     first = given.adjusted.solution
@@ -59,7 +60,7 @@ def test_freeing_is_predicted(block: Block, fault: Fault) -> None:
 def test_nothing_freed_is_the_block_itself(block: Block) -> None:
     given = opened(block)
     first = given.adjusted.solution
-    same = given.whole.solved(block.cameras, block.mounting)[0]
+    same = given.whole.solved(given.given)[0]
     assert same.chi_squared == pytest.approx(first.chi_squared, rel=1e-9)
     assert same.degrees_of_freedom == first.degrees_of_freedom
     # Beside the freed values, given a trillion times more weakly, digits are lost.
@@ -71,7 +72,8 @@ def test_what_an_observed_value_tells(block: Block) -> None:
     sigma = block.mounting.sigma.copy()
     sigma[:3], sigma[6] = 0.02, np.inf
     other = replace(block, mounting=replace(block.mounting, sigma=sigma))
-    predicted = opened(block).whole.solved(other.cameras, other.mounting)[0]
+    whole = opened(block).whole
+    predicted = whole.solved(observed(whole.shared, other.cameras, other.mounting))[0]
     adjusted = adjust(assemble(other).network)
     assert predicted.degrees_of_freedom == adjusted.degrees_of_freedom
     assert predicted.chi_squared == pytest.approx(adjusted.chi_squared, rel=1e-4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 from collections.abc import Callable, Sequence
@@ -239,7 +240,7 @@ def test_the_answers_to_a_question_are_taken(pictures: Path, tmp_path: Path, pho
 @pytest.mark.parametrize(
     ("first", "height", "asked"),
     [
-        ("EPSG:4978", "", "crs: 'EPSG:4978' (WGS 84) is not a map system"),
+        ("EPSG:4978", "", "crs: control that WGS 84 would place "),
         ("EPSG:2180+5773", "ellipsoidal", "height: EPSG:2180+5773 has heights of its own (EGM96 height)"),
         ("EPSG:2180+5773", "", ""),
         ("EPSG:2180+5773", "orthometric", ""),
@@ -257,6 +258,28 @@ def test_what_run_would_refuse_is_asked_before(
         return
     assert found["asked"] == []
     check_project(read_project(tmp_path / "f/project.toml"))
+
+
+def test_geocentric_control_comes_to_a_map(pictures: Path, tmp_path: Path, photocal: Photocal) -> None:
+    """Points of a map system, typed as geocentric ones, are where they were, in the zone of their place."""
+    there = Transformer.from_crs(CRS, "EPSG:4978", always_xy=True)
+    back = Transformer.from_crs(CRS, "EPSG:32634", always_xy=True)
+    meant: dict[str, tuple[float, ...]] = {}
+
+    def typed(rows: list[Row]) -> list[Row]:
+        meant.update({row.name: (*back.transform(*row.place[:2]), row.place[2]) for row in rows})
+        return [replace(row, place=there.transform(*row.place)) for row in rows]
+
+    site_folder(pictures, tmp_path / "f", typed, first="EPSG:4978")
+    found = new(photocal, tmp_path / "f")
+    assert found["asked"] == []
+    project = read_project(tmp_path / "f/project.toml")
+    assert (project.crs, project.height) == ("EPSG:32634", "ellipsoidal")
+    with (tmp_path / "f/control.csv").open() as table:
+        placed = {row["point"]: [float(row[axis]) for axis in "XYZ"] for row in csv.DictReader(table)}
+    assert placed.keys() == meant.keys()
+    for name, place in placed.items():
+        assert place == pytest.approx(meant[name], abs=0.002)
 
 
 def test_heights_of_precise_positions_ask_for_their_geoid(
