@@ -9,7 +9,7 @@ from photocal.base.errors import ConfigurationError
 from photocal.exchange.formats import exported
 
 if TYPE_CHECKING:
-    from photocal.exchange.reconstruction import Angle
+    from photocal.exchange.exporting import Angle
 
 FORMATS = ", ".join(exported())
 
@@ -32,8 +32,8 @@ def export(
     """
     from photocal.base.files import output_folder
     from photocal.base.geodesy import GeodeticPlace
+    from photocal.exchange.exporting import Choices, middle, of_result
     from photocal.exchange.formats import named
-    from photocal.exchange.reconstruction import Choices, middle, of_result
     from photocal.results.folder import read_result
 
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
@@ -44,10 +44,10 @@ def export(
         touching = GeodeticPlace(
             *numbers_of(origin, "--origin", "LATITUDE,LONGITUDE,HEIGHT: degrees, metres")
         )
-    choices = Choices(cast("Angle", angle_unit) if angle_unit else None, touching, now)
     chosen = named(form)
     adjusted = read_result(run)
-    given = of_result(adjusted)
+    given, residuals_px = of_result(adjusted)
+    choices = Choices(cast("Angle", angle_unit) if angle_unit else None, touching, now, residuals_px)
     with output_folder(output) as aside:
         conversions = chosen.write(aside, given, choices)
         files = sorted(str(path.relative_to(aside)) for path in aside.rglob("*") if path.is_file())

@@ -23,10 +23,10 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import InputMalformedError
 from photocal.base.files import write_json
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Role
+from photocal.exchange.exporting import Choices
 from photocal.exchange.foreign_project import ForeignProject
-from photocal.exchange.parts import block, pixels, require_unique
+from photocal.exchange.parts import block, known, pixels, rays_of, require_unique
 from photocal.exchange.pinhole import LARGEST, Pinhole, from_pinhole, require_one_focal_length, to_pinhole
-from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import beside, image_size, read_json, structured
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion
@@ -222,7 +222,7 @@ def _triples(rows: list[Any]) -> Floats:
     return np.array([[float(value) for value in row] for row in rows], dtype=float).reshape(-1, 3)
 
 
-def write(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Block, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write project.opf and the files that it names."""
     made = [to_pinhole(camera, "OPF") for camera in given.cameras]
     pinholes = [pinhole for pinhole, _ in made]
@@ -238,14 +238,15 @@ def write(folder: Path, given: Reconstruction, _: Choices | None = None) -> tupl
         "input-control-points": _input_points(given),
         "projected-control-points": {
             "projected_gcps": [
-                {"id": given.point_names[j], **_place(given, j)} for j in given.of_role("control", "check")
+                {"id": given.points.names[j], **_place(given.points, j)}
+                for j in np.flatnonzero(~given.points.of_role("tie")).tolist()
             ]
         },
         "calibrated-cameras": _calibrated(given, pinholes),
         "calibrated-control-points": {
             "points": [
                 {"id": name, "coordinates": xyz}
-                for name, xyz in zip(given.point_names, given.xyz.tolist(), strict=True)
+                for name, xyz in zip(given.points.names, given.points.values.tolist(), strict=True)
             ]
         },
     }
@@ -255,7 +256,7 @@ def write(folder: Path, given: Reconstruction, _: Choices | None = None) -> tupl
     return tuple(conversion for _, conversion in made)
 
 
-def _project(given: Reconstruction) -> dict[str, Any]:
+def _project(given: Block) -> dict[str, Any]:
     ids = {kind: str(uuid.uuid5(_SPACE, f"{given.name}/{kind}")) for kind, _, _ in _ITEMS}
     items = [
         {
@@ -277,13 +278,13 @@ def _project(given: Reconstruction) -> dict[str, Any]:
     }
 
 
-def _images(given: Reconstruction) -> Iterable[tuple[int, str]]:
-    return enumerate(given.image_names, start=1)
+def _images(given: Block) -> Iterable[tuple[int, str]]:
+    return enumerate(given.images.names, start=1)
 
 
-def _sensor_id(given: Reconstruction, k: int) -> int:
+def _sensor_id(given: Block, k: int) -> int:
     """Sensors are numbered behind the images."""
-    return len(given.image_names) + 1 + k
+    return len(given.images.names) + 1 + k
 
 
 def _internals(pinhole: Pinhole) -> dict[str, Any]:
@@ -296,7 +297,7 @@ def _internals(pinhole: Pinhole) -> dict[str, Any]:
     }
 
 
-def _sensors(given: Reconstruction, pinholes: list[Pinhole]) -> list[dict[str, Any]]:
+def _sensors(given: Block, pinholes: list[Pinhole]) -> list[dict[str, Any]]:
     return [
         {
             "id": _sensor_id(given, k),
@@ -311,7 +312,7 @@ def _sensors(given: Reconstruction, pinholes: list[Pinhole]) -> list[dict[str, A
     ]
 
 
-def _captures(given: Reconstruction) -> list[dict[str, Any]]:
+def _captures(given: Block) -> list[dict[str, Any]]:
     first = _sensor_id(given, len(given.cameras))
     return [
         {
@@ -322,7 +323,7 @@ def _captures(given: Reconstruction) -> list[dict[str, Any]]:
             "cameras": [
                 {
                     "id": k,
-                    "sensor_id": _sensor_id(given, int(given.image_camera[k - 1])),
+                    "sensor_id": _sensor_id(given, int(given.images.camera[k - 1])),
                     "model_source": "user",
                     "pixel_range": {"min": 0, "max": 255},
                     "pixel_type": "uint8",
@@ -333,33 +334,34 @@ def _captures(given: Reconstruction) -> list[dict[str, Any]]:
     ]
 
 
-def _input_points(given: Reconstruction) -> dict[str, Any]:
-    roles = given.roles or ("tie",) * len(given.point_names)
+def _input_points(given: Block) -> dict[str, Any]:
+    points, seen = given.points, given.observations
     surveyed, others = [], []
-    for j, (name, role, rays) in enumerate(zip(given.point_names, roles, given.rays_of_points, strict=True)):
+    for j, rays in enumerate(rays_of(seen.point, len(points.names))):
         marks = [
-            {"camera_id": int(given.image[ray]) + 1, "position_px": pixel, "accuracy": 1.0}
-            for ray, pixel in zip(rays, (given.pixels[rays] + HALF).tolist(), strict=True)
+            {"camera_id": int(seen.image[ray]) + 1, "position_px": pixel, "accuracy": 1.0}
+            for ray, pixel in zip(rays, (seen.values[rays] + HALF).tolist(), strict=True)
         ]
-        point = {"id": name, "marks": marks, "is_checkpoint": role == "check"}
+        role = ROLES[points.role[j]]
+        point = {"id": points.names[j], "marks": marks, "is_checkpoint": role == "check"}
         if role == "tie":
             others.append(point)
         else:
-            surveyed.append({**point, "geolocation": {"crs": {"definition": LOCAL_CRS}, **_place(given, j)}})
+            surveyed.append({**point, "geolocation": {"crs": {"definition": LOCAL_CRS}, **_place(points, j)}})
     return {"gcps": surveyed, "mtps": others}
 
 
-def _place(given: Reconstruction, j: int) -> dict[str, list[float]]:
+def _place(points: ObjectPoints, j: int) -> dict[str, list[float]]:
     """Coordinates and standard deviations; a sigma that is not known is 0."""
-    return {"coordinates": given.xyz[j].tolist(), "sigmas": np.nan_to_num(given.xyz_sigma[j]).tolist()}
+    return {"coordinates": points.values[j].tolist(), "sigmas": known(points.sigma[j]).tolist()}
 
 
-def _calibrated(given: Reconstruction, pinholes: list[Pinhole]) -> dict[str, Any]:
-    angles = np.degrees(given.poses[:, :3]).tolist()
+def _calibrated(given: Block, pinholes: list[Pinhole]) -> dict[str, Any]:
+    angles = np.degrees(given.images.values[:, :3]).tolist()
     cameras = [
         {"id": k + 1, "sensor_id": _sensor_id(given, sensor), "orientation_deg": angles[k], "position": place}
         for k, (sensor, place) in enumerate(
-            zip(given.image_camera.tolist(), given.poses[:, 3:].tolist(), strict=True)
+            zip(given.images.camera.tolist(), given.images.values[:, 3:].tolist(), strict=True)
         )
     ]
     sensors = [

@@ -15,14 +15,13 @@ from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.frames import combined_factor, has_scale
 from photocal.navigation.baseline_network import NetworkSolution
 from photocal.navigation.exposure_files import in_frame
-from photocal.navigation.survey import MovedMark
 from photocal.navigation.trajectory import enu_axes_at
 
 COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "sXY", "sXZ", "sYZ", "role")
 
 
 def survey_figures(
-    solution: NetworkSolution, sessions: list[dict[str, Any]], frames: Sequence[MovedMark] = ()
+    solution: NetworkSolution, sessions: list[dict[str, Any]], frames: Sequence[dict[str, Any]] = ()
 ) -> dict[str, Any]:
     """Return the figures of a survey, ready for JSON."""
     per_baseline = {
@@ -36,7 +35,7 @@ def survey_figures(
             "schema": "photocal.survey/1",
             "marks": _marks(solution),
             "sessions": sessions,
-            "frames": [frame.as_json() for frame in frames],
+            "frames": list(frames),
             **picked(solution, "degrees_of_freedom", "sigma0_squared", "blunders", global_test="test"),
             "baselines": [
                 {
