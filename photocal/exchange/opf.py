@@ -12,7 +12,6 @@ coordinates; tie points of a glTF point cloud are not read. Source: OPF specific
 
 import uuid
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
@@ -63,28 +62,6 @@ def format_name(kind: str) -> str:
     return f"application/opf-{kind}+json"
 
 
-@dataclass(frozen=True)
-class _Resources:
-    """The files of a project by their kind."""
-
-    path: Path
-    files: dict[str, Path]
-
-    def load(self, kind: str) -> dict[str, Any]:
-        """Read the file of a kind that the project names."""
-        if kind not in self.files:
-            raise InputMalformedError(
-                f"names no {kind.replace('-', ' ')}", "export a calibrated project", where=self.path
-            )
-        content: dict[str, Any] = read_json(self.files[kind])
-        if content["format"] != format_name(kind):
-            raise InputMalformedError(
-                f"is {content['format']!r}, not {format_name(kind)!r}", where=self.files[kind]
-            )
-        _require_version(content, self.files[kind])
-        return content
-
-
 def read(path: Path) -> ForeignProject:
     """Read a calibrated project."""
     given = structured(path, "an OPF project", lambda: _read(path))
@@ -93,12 +70,12 @@ def read(path: Path) -> ForeignProject:
 
 def _read(path: Path) -> Block:
     resources = _resources(path)
-    inputs, calibrated = resources.load("input-cameras"), resources.load("calibrated-cameras")
-    cameras = dict(_cameras(inputs, calibrated, resources.files["calibrated-cameras"]))
-    uris = {int(row["id"]): unquote(row["uri"]) for row in resources.load("camera-list")["cameras"]}
+    inputs, calibrated = _load(resources, "input-cameras"), _load(resources, "calibrated-cameras")
+    where = resources["calibrated-cameras"]
+    cameras = dict(_cameras(inputs, calibrated, where))
+    uris = {int(row["id"]): unquote(row["uri"]) for row in _load(resources, "camera-list")["cameras"]}
     files = {key: uri.replace("\\", "/").rsplit("/", 1)[-1] for key, uri in uris.items()}
     shots = calibrated["cameras"]
-    where = resources.files["calibrated-cameras"]
     lost = [int(shot["id"]) for shot in shots if int(shot["id"]) not in files]
     strange = [int(shot["sensor_id"]) for shot in shots if int(shot["sensor_id"]) not in cameras]
     if lost or strange:
@@ -134,22 +111,36 @@ def _read(path: Path) -> Block:
         Images(names, which, poses),
         ObjectPoints(points, xyz, sigma, role),
         pixels(image, point, table[:, 2:] - HALF),
-        [path, *resources.files.values()],
+        list(resources.values()),
     )
 
 
-def _resources(path: Path) -> _Resources:
+def _resources(path: Path) -> dict[str, Path]:
+    """Find the files that a project names, by their kind; its own stands among them."""
     project = read_json(path)
     if project["format"] != format_name("project"):
         raise InputMalformedError("is not an OPF project", "name the file project.opf", where=path)
     _require_version(project, path)
-    files: dict[str, Path] = {}
+    files = {"project": path}
     for item in project["items"]:
         for resource in item["resources"]:
             kind = resource["format"].removeprefix("application/opf-").removesuffix("+json")
             if format_name(kind) == resource["format"] and kind not in files:
                 files[kind] = beside(path.parent, unquote(resource["uri"]), path)
-    return _Resources(path, files)
+    return files
+
+
+def _load(files: dict[str, Path], kind: str) -> dict[str, Any]:
+    """Read the file of a kind that the project names."""
+    if kind not in files:
+        raise InputMalformedError(
+            f"names no {kind.replace('-', ' ')}", "export a calibrated project", where=files["project"]
+        )
+    content: dict[str, Any] = read_json(files[kind])
+    if content["format"] != format_name(kind):
+        raise InputMalformedError(f"is {content['format']!r}, not {format_name(kind)!r}", where=files[kind])
+    _require_version(content, files[kind])
+    return content
 
 
 def _require_version(content: dict[str, Any], path: Path) -> None:
@@ -180,18 +171,18 @@ def _cameras(inputs: dict[str, Any], calibrated: dict[str, Any], path: Path) -> 
 
 
 def _control_points(
-    resources: _Resources, images: dict[int, int]
+    resources: dict[str, Path], images: dict[int, int]
 ) -> tuple[tuple[str, ...], tuple[Role, ...], list[tuple[int, int, float, float]]]:
     """Names and roles of the control points, and where they are seen."""
-    if "input-control-points" not in resources.files:
+    if "input-control-points" not in resources:
         return (), (), []
-    given = resources.load("input-control-points")
+    given = _load(resources, "input-control-points")
     points: list[tuple[dict[str, Any], Role]] = [
         (point, "check" if point["is_checkpoint"] else "control") for point in given["gcps"]
     ]
     points += [(point, "tie") for point in given["mtps"]]
     names = tuple(str(point["id"]) for point, _ in points)
-    require_unique(names, "control point", resources.files["input-control-points"])
+    require_unique(names, "control point", resources["input-control-points"])
     rays = []
     for j, (point, _) in enumerate(points):
         for mark in point["marks"]:
@@ -201,7 +192,7 @@ def _control_points(
     return names, tuple(role for _, role in points), rays
 
 
-def _coordinates(resources: _Resources, names: tuple[str, ...]) -> tuple[Floats, Floats]:
+def _coordinates(resources: dict[str, Path], names: tuple[str, ...]) -> tuple[Floats, Floats]:
     """Coordinates, calibrated before surveyed, and standard deviations; NaN when not given."""
     position = {name: j for j, name in enumerate(names)}
     xyz, sigma = np.full((len(names), 3), np.nan), np.full((len(names), 3), np.nan)
@@ -209,7 +200,7 @@ def _coordinates(resources: _Resources, names: tuple[str, ...]) -> tuple[Floats,
         ("projected-control-points", "projected_gcps"),
         ("calibrated-control-points", "points"),
     ):
-        rows = resources.load(kind)[key] if kind in resources.files else []
+        rows = _load(resources, kind)[key] if kind in resources else []
         rows = [row for row in rows if row["id"] in position]
         index = [position[row["id"]] for row in rows]
         xyz[index] = _triples([row["coordinates"] for row in rows])

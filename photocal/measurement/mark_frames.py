@@ -104,25 +104,6 @@ class FrameFit:
 
 
 @dataclass(frozen=True)
-class FrameOffer:
-    """A frame that a person may choose, and where some marks lie in the stored pictures then, if inside."""
-
-    fit: FrameFit
-    chosen: bool
-    marks: tuple[Mark, ...]
-
-    def figures(self) -> dict[str, Any]:
-        """Give it as a JSON value."""
-        return {
-            "frame": str(self.fit.frame),
-            "chosen": self.chosen,
-            "outside": self.fit.outside,
-            "miss": None if math.isnan(self.fit.miss) else self.fit.miss,
-            "marks": [{"image": m.image, "point": m.point, "x": m.x, "y": m.y} for m in self.marks],
-        }
-
-
-@dataclass(frozen=True)
 class FrameChoice:
     """Which frame marks were made in.
 
@@ -141,10 +122,11 @@ class FrameChoice:
         """Give how marks fit one of the frames."""
         return next(fit for fit in self.fits if fit.frame == frame)
 
-    def offers(self, marks: Sequence[Mark], facts: Facts) -> tuple[FrameOffer, ...]:
-        """Give the likeliest frames, and that of the stored grid, each with marks of one point.
+    def offers(self, marks: Sequence[Mark], facts: Facts) -> tuple[dict[str, Any], ...]:
+        """Give the likeliest frames, and that of the stored grid, as JSON values.
 
-        Frames that are the same for these pictures are one.
+        Each has the places of some marks of one point in the stored pictures, if inside. Frames that are the
+        same for these pictures are one.
         """
         most_frames, most_marks = 5, 3
         most = Counter(mark.point for mark in marks).most_common(1)
@@ -154,12 +136,19 @@ class FrameChoice:
             if not any(_alike(fit.frame, other.frame, marks, facts) for other in fits):
                 fits.append(fit)
         listed = [fit for k, fit in enumerate(fits) if k < most_frames or fit.frame == AS_STORED]
-        there = (
-            [mark for mark in fit.frame.stored(shown, facts) if inside(mark, facts[mark.image].size_px)]
-            for fit in listed
-        )
         return tuple(
-            FrameOffer(fit, fit.frame == self.chosen, tuple(m)) for fit, m in zip(listed, there, strict=True)
+            {
+                "frame": str(fit.frame),
+                "chosen": fit.frame == self.chosen,
+                "outside": fit.outside,
+                "miss": None if math.isnan(fit.miss) else fit.miss,
+                "marks": [
+                    {"image": mark.image, "point": mark.point, "x": mark.x, "y": mark.y}
+                    for mark in fit.frame.stored(shown, facts)
+                    if inside(mark, facts[mark.image].size_px)
+                ],
+            }
+            for fit in listed
         )
 
 

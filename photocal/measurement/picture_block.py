@@ -27,7 +27,7 @@ from photocal.measurement.control_review import stray_points
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, motion_while_read, read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.measurement.image_pairs import Footprints, exposed_footprints, stated_footprints
-from photocal.measurement.maker_camera import NO_LENS, GivenLens, group_cameras, stated_camera
+from photocal.measurement.maker_camera import group_cameras, stated_camera, with_lens
 from photocal.measurement.mark_frames import settle_marks
 from photocal.measurement.marks import (
     ControlMarks,
@@ -140,7 +140,7 @@ def measure_images(
     name: str,
     plan: MatchingPlan,
     progress: Progress,
-    lens: GivenLens = NO_LENS,
+    lens: Given = with_lens,
     control: GivenControl | None = None,
 ) -> MeasuredBlock:
     """Measure tie points in images, join them with marked control points, and make their block.
@@ -169,9 +169,8 @@ def measure_images(
 
     read = (lambda _: NO_CONTROL) if control is None else control.read
     height = "" if control is None else control.height
-    return _measured(
-        KnownPictures(name, paths, lens.of, stated_footprints, read, height, told), plan, progress
-    )
+    known = KnownPictures(name, paths, lens, stated_footprints, read, height, told)
+    return _measured(known, plan, progress)
 
 
 def measure_project(
@@ -422,7 +421,7 @@ def pictures_of_heads(project: Project) -> tuple[dict[str, int], dict[str, str]]
 def better_known(project: Project, names: Sequence[str]) -> Given:
     """What a project's table of positions says in place of the pictures, in the project's frame."""
     path, frame = project.images.positions, project.images.position_frame
-    told = NO_LENS.of if path is None else read_positions(path, names)
+    told = with_lens if path is None else read_positions(path, names)
     if frame is None:
         return told
     # Said once for all, and not of each picture.

@@ -202,8 +202,9 @@ def by_click(_: str, seen: View, rng: np.random.Generator) -> Found:
     found = snap(seen.grey, (x, y), 12.0, bend=seen.bend)
     if found is None:
         return []
-    sx, sy = (np.sqrt(s**2 - COMMON_PX**2) for s in found.sigma)
-    return [(found.x, found.y, float(sx), float(sy), *seen.centre.tolist())]
+    _, centre = found
+    sx, sy = (np.sqrt(s**2 - COMMON_PX**2) for s in centre.sigma)
+    return [(centre.column, centre.row, float(sx), float(sy), *seen.centre.tolist())]
 
 
 def in_whole_image(kind: str, seen: View, _: np.random.Generator) -> Found:

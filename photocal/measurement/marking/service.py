@@ -159,7 +159,7 @@ class MarkingService:
                 f"point {click.point} is not in the table of points", "choose a point of the list"
             )
         place = (click.x, click.y)
-        snapped = None
+        snapped, kind = None, None
         if click.kinds:
             facts = path.stat()
             grey = _grey(path, facts.st_mtime_ns, facts.st_size)
@@ -167,12 +167,13 @@ class MarkingService:
             snapped = snap(grey, place, click.reach, click.kinds, self._scene.dictionaries, bend)
         sigma = (BY_HAND_PX, BY_HAND_PX)
         if snapped is not None:
-            place, sigma = (snapped.x, snapped.y), snapped.sigma
+            kind, centre = snapped
+            place, sigma = (centre.column, centre.row), centre.sigma
         # Decimals in marks.csv: what is shown is what is written.
         decimals = 4
         x, y, *sigmas = (round(value, decimals) for value in (*place, *sigma))
         self.store.put(Mark(click.image, click.point, x, y, (sigmas[0], sigmas[1]), ""))
-        return self.state() | {"snapped": None if snapped is None else snapped.kind}
+        return self.state() | {"snapped": kind}
 
     @property
     def _orientation(self) -> Orientation | None:
