@@ -9,6 +9,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from photocal.base.progress import quiet
 from photocal.base.web import Address, serving
@@ -18,6 +19,9 @@ from photocal.run.campaign import run_project
 from photocal.run.new_project import new_project
 from tests.docs.shown import GUIDE
 from tests.photocal.run.typed_site import site_folder
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 ROOT = Path(__file__).parents[2]
 # What each step shows when it is there.
@@ -29,6 +33,9 @@ STEPS = {
     "certificate": "iframe.preview",
 }
 _PATIENCE_MS, _SETTLES_MS = 400_000, 3_000
+# What is marked wrong in the picture of the place Mark, and how far, px of the screen.
+_POINT, _BESIDE_PX = "G5", 18
+MARKING = ROOT / "docs" / "marking.png"
 # Where the sources lie differs from one computer to the next.
 _WITHOUT_PLACE = """root => {
     const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT)
@@ -86,7 +93,25 @@ def main() -> None:
             page.wait_for_timeout(_SETTLES_MS)
             page.evaluate(_WITHOUT_PLACE, str(ROOT))
             page.screenshot(path=GUIDE / f"desk-{step}.png")
+        _marked_wrong(page, url)
         browser.close()
+
+
+def _marked_wrong(page: Page, url: str) -> None:
+    """The place Mark: a mark is put beside its point, and an adjustment shows it."""
+    page.goto(f"{url}#/mark/{_POINT}")
+    page.locator(".marking[data-ready] .frame[data-loaded=true]").first.wait_for()
+    page.keyboard.press("s")
+    box = page.locator(".shot").nth(1).bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + box["width"] / 2 + _BESIDE_PX, box["y"] + box["height"] / 2)
+    page.get_by_text("by hand").first.wait_for()
+    page.keyboard.press("s")
+    page.keyboard.press("a")
+    page.locator(".marking[data-adjusted]").wait_for()
+    page.mouse.move(0, 0)
+    page.wait_for_timeout(_SETTLES_MS)
+    page.screenshot(path=MARKING)
 
 
 if __name__ == "__main__":
