@@ -135,7 +135,8 @@ function rail() {
       { href: `#/${name}`, "aria-current": name === here ? "step" : null },
       h("span.number", { "aria-hidden": "true" }, number),
       h("span.name", {}, say(`step.${name}`)),
-      sign(stands.state, stands.word ? say(stands.word) : ""),
+      // What is no step has nothing to come.
+      (stands.word || !BESIDE[name]) && sign(stands.state, stands.word ? say(stands.word) : ""),
     );
   };
   const rail = document.getElementById("rail");

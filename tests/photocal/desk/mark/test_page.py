@@ -137,7 +137,8 @@ def screen(page: Page, image: str, place: tuple[float, float]) -> tuple[float, f
 
 
 def choose(page: Page, point: str) -> None:
-    page.locator("#points li button").filter(has_text=re.compile(rf"^(✓ )?{point}(check|–|\d)")).click()
+    named = page.locator(".name").filter(has_text=re.compile(rf"^(✓ )?{point}$"))
+    page.locator("#points li button", has=named).click()
     expect(page.locator("#point")).to_have_text(point)
     until(page, f"{STATE}.ranked.length > 0 && {SHOTS}[0].dataset.point === '{point}'")
 
