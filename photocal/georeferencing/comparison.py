@@ -143,15 +143,18 @@ class Differences:
 
     @property
     def suspected(self) -> tuple[str, ...]:
-        """Points whose difference the prediction does not explain.
+        """Points of this group whose difference the prediction does not explain, were it the only one."""
+        return self.suspected_at(policy.family_significance)
 
-        All of them together are one family of tests: in 0.5 % of sound blocks any point is suspected (Holm
-        1979).
+    def suspected_at(self, level: float) -> tuple[str, ...]:
+        """Points whose difference the prediction does not explain: any of sound ones with this probability.
+
+        All of them together are one family of tests (Holm 1979).
         """
         tested = np.flatnonzero(np.isfinite(self.distance))
         p = special.chdtrc(3, self.distance[tested])
         order = np.argsort(p, kind="stable")
-        enough = p[order] <= policy.family_significance / np.arange(len(p), 0, -1)
+        enough = p[order] <= level / np.arange(len(p), 0, -1)
         rejected = tested[order[: len(p) if enough.all() else int(np.argmin(enough))]]
         return tuple(self.names[k] for k in sorted(rejected.tolist()))
 

@@ -77,8 +77,10 @@ def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
         listed += cause_findings(check.systematic, check.slips, _target(check))
     elif coarsely_placed(check.block):
         listed.append(Finding("coarse-positions", "note"))
+    # The points of all methods are one family: check and control of each share its level (Bonferroni).
+    groups = sum(len(judged.differences) for judged in check.judged if judged.result.predicted)
     for judged in check.judged:
-        listed += _judged(judged)
+        listed += _judged(judged, policy.family_significance / max(groups, 1))
     if check.separation is not None:
         listed += separation_findings(check.separation)
     if check.judged and not any(judged.check.names for judged in check.judged):
@@ -122,7 +124,8 @@ def _refused(check: BlockCheck) -> list[Finding]:
     ]
 
 
-def _judged(judged: Judged) -> list[Finding]:
+def _judged(judged: Judged, level: float) -> list[Finding]:
+    """Judge the ground points of one method; any of sound ones stands out with the probability `level`."""
     method, listed = judged.result.method, []
     if not judged.result.predicted:
         return [untested("check-outside-prediction", "start-values-used", {"method": method})]
@@ -130,8 +133,11 @@ def _judged(judged: Judged) -> list[Finding]:
         ("check-outside-prediction", judged.check),
         ("control-outside-prediction", judged.control),
     ):
-        if differences.suspected:
-            figures: dict[str, Figure] = {"method": method, "points": tuple(differences.suspected)}
+        # Where all together exceed their prediction, which ones do is no alarm of its own.
+        together = differences.joint is not None and differences.joint.exceeds
+        points = differences.suspected if together else differences.suspected_at(level)
+        if points:
+            figures: dict[str, Figure] = {"method": method, "points": points}
             listed.append(Finding(code, "doubtful", method, figures))
     listed += _together(method, judged.check)
     test = judged.result.test
