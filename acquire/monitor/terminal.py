@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from acquire.monitor.state import ShownAlarm
-from acquire.monitor.view_model import CameraRow, LinkRow, MapLayer, PageView, ReceiverRow, Word
+from acquire.monitor.view_model import MapLayer, PageView, Row, Word
 from photocal.base.arrays import Floats, Integers
 from photocal.base.console import printable
 from photocal.base.geodesy import enu_offsets
@@ -140,7 +140,7 @@ def _sections(view: PageView, width: int) -> list[RenderableType]:
     # Longer names are cut, so that the figures keep their place.
     longest_name = 12
     sections: list[RenderableType] = []
-    names = [row.name for row in view.receivers] + [row.name for row in view.links]
+    names = [row["name"] for row in (*view.receivers, *view.links)]
     wide = min(max(map(len, ["disk", *names])), longest_name)
     groups: dict[str, Sequence[str | Text]] = {
         "fix": [_receiver(row, wide) for row in view.receivers] or ["no receiver has spoken yet"],
@@ -163,41 +163,41 @@ def _head(view: PageView) -> RenderableType:
     return line
 
 
-def _receiver(row: ReceiverRow, wide: int) -> Text:
-    parts = [_name(row.name, wide), _word(row.fix)]
-    if row.satellites is not None:
-        parts.append(Text(f"  {row.satellites} sat"))
-    if row.horizontal_m is not None:
-        near = row.horizontal_m < 1
-        parts.append(Text(f"  {row.horizontal_m * 100:.1f} cm" if near else f"  {row.horizontal_m:.1f} m"))
-    if row.correction_age_s is not None:
-        parts += [Text("  corr. "), _word(row.correction)]
+def _receiver(row: Row, wide: int) -> Text:
+    parts = [_name(row["name"], wide), _word(row["fix"])]
+    if row["satellites"] is not None:
+        parts.append(Text(f"  {row['satellites']} sat"))
+    if (miss := row["horizontal_m"]) is not None:
+        parts.append(Text(f"  {miss * 100:.1f} cm" if miss < 1 else f"  {miss:.1f} m"))
+    if row["correction_age_s"] is not None:
+        parts += [Text("  corr. "), _word(row["correction"])]
     return Text.assemble(*parts)
 
 
-def _camera(row: CameraRow, wide: int) -> Text:
-    counts = f"  {row.triggered} triggered, {row.reported} feedback" if row.triggered else ""
-    marks = f"  {row.time_marks} marks" if row.time_marks else ""
-    return Text.assemble(_name(row.link, wide), _word(row.state), counts, marks)
+def _camera(row: Row, wide: int) -> Text:
+    counts = f"  {row['triggered']} triggered, {row['reported']} feedback" if row["triggered"] else ""
+    marks = f"  {row['time_marks']} marks" if row["time_marks"] else ""
+    return Text.assemble(_name(row["link"], wide), _word(row["state"]), counts, marks)
 
 
-def _link(row: LinkRow, wide: int) -> Text:
-    gaps = f"  {row.gaps} gap{'s' * (row.gaps > 1)} to {row.longest_gap_s:.0f} s" if row.gaps else "  no gaps"
-    damage = f"  {size(row.damage_bytes)} damaged" if row.damage_bytes else ""
-    rates = f"  {row.frames_per_s:.1f}/s  {size(row.bytes_per_s)}/s"
-    return Text.assemble(_name(row.name, wide), _word(row.state), rates, gaps, damage)
+def _link(row: Row, wide: int) -> Text:
+    count = row["gaps"]
+    gaps = f"  {count} gap{'s' * (count > 1)} to {row['longest_gap_s']:.0f} s" if count else "  no gaps"
+    damage = f"  {size(row['damage_bytes'])} damaged" if row["damage_bytes"] else ""
+    rates = f"  {row['frames_per_s']:.1f}/s  {size(row['bytes_per_s'])}/s"
+    return Text.assemble(_name(row["name"], wide), _word(row["state"]), rates, gaps, damage)
 
 
 def _rest(view: PageView, wide: int) -> list[Text]:
-    lines = [Text.assemble(_name("disk", wide), _word(view.disk.state), f"  log {size(view.bytes)}")]
-    batteries = {row.link: row.state for row in view.batteries}
-    clocks = {row.link: row.state for row in view.clocks}
-    vehicles = {row.link: row for row in view.vehicles}
+    lines = [Text.assemble(_name("disk", wide), _word(view.disk["state"]), f"  log {size(view.bytes)}")]
+    batteries = {row["link"]: row["state"] for row in view.batteries}
+    clocks = {row["link"]: row["state"] for row in view.clocks}
+    vehicles = {row["link"]: row for row in view.vehicles}
     for link in sorted({*batteries, *clocks, *vehicles}):
         parts: list[str | Text] = [_name(link, wide)]
         if link in vehicles:
-            height_m = vehicles[link].height_m
-            parts += [_word(vehicles[link].mode), "  "]
+            height_m = vehicles[link]["height_m"]
+            parts += [_word(vehicles[link]["mode"]), "  "]
             parts += [] if height_m is None else [Text(f"{height_m:.0f} m", style="bold"), "  "]
         parts += [_word(batteries[link]), "  "] if link in batteries else []
         parts += ["clock ", _word(clocks[link])] if link in clocks else []

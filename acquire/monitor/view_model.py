@@ -26,7 +26,7 @@ from acquire.monitor.traffic import (
     bytes_per_s,
     correction_age_s,
 )
-from photocal.base.arrays import Floats
+from photocal.base.arrays import Floats, picked
 from photocal.base.time_scales import SECOND_NS
 
 
@@ -114,92 +114,22 @@ class Word:
     level: str
 
 
-@dataclass(frozen=True)
-class LinkRow:
-    """A link: rates of the last seconds, silence, pauses and damage so far."""
-
-    name: str
-    state: Word
-    frames: int
-    frames_per_s: float
-    bytes_per_s: float
-    silent_s: float | None
-    gaps: int
-    longest_gap_s: float
-    damage_bytes: int
-
-
-@dataclass(frozen=True)
-class ReceiverRow:
-    """A receiver: its fix and for how long it has had it, satellites, accuracy, age of the corrections."""
-
-    name: str
-    fix: Word
-    for_s: float
-    satellites: int | None
-    horizontal_m: float | None
-    correction: Word
-    correction_age_s: float | None
-
-
-@dataclass(frozen=True)
-class CameraRow:
-    """The pictures of a link: asked for, reported, missed (and which), time marks."""
-
-    link: str
-    state: Word
-    triggered: int
-    reported: int
-    missed: int
-    missed_numbers: str
-    time_marks: int
-    time_marks_missed: int
-
-
-@dataclass(frozen=True)
-class ClockRow:
-    """Clock of this computer less clock of a device."""
-
-    link: str
-    state: Word
-    host_minus_device_s: float
-
-
-@dataclass(frozen=True)
-class VehicleRow:
-    """A vehicle: its mode of flight, its height above the take-off, its speed over ground and its heading."""
-
-    link: str
-    mode: Word
-    armed: bool
-    height_m: float | None
-    speed_m_s: float | None = None
-    heading_deg: float | None = None
-
-
-@dataclass(frozen=True)
-class BatteryRow:
-    """The battery of a vehicle."""
-
-    link: str
-    state: Word
-    voltage_v: float | None
-    percent: int | None
-
-
-@dataclass(frozen=True)
-class Disk:
-    """What is left on the disk, and for how long that is enough."""
-
-    state: Word
-    free_bytes: int | None
-    bytes_per_s: float | None
-    hours: float | None
+# A row of the page: what it is called, words for how it is, and figures with the unit in their names; None is
+# what is not known.
+Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class PageView:
-    """Everything but the map, see `view_of`."""
+    """Everything but the map, see `view_of`.
+
+    links: rates of the last seconds, silence, pauses and damage so far.
+    receivers: fix and for how long each has had it, satellites, accuracy, age of the corrections.
+    cameras: pictures of a link that were asked for, reported, missed (and which), time marks.
+    clocks: clock of this computer less that of a device.
+    vehicles: mode of flight, height above the take-off, speed over ground, heading.
+    disk: what is left on it, and for how long that is enough.
+    """
 
     flight: str
     file: str
@@ -207,13 +137,13 @@ class PageView:
     duration_s: float
     bytes: int
     time_ns: int
-    links: tuple[LinkRow, ...]
-    receivers: tuple[ReceiverRow, ...]
-    cameras: tuple[CameraRow, ...]
-    clocks: tuple[ClockRow, ...]
-    vehicles: tuple[VehicleRow, ...]
-    batteries: tuple[BatteryRow, ...]
-    disk: Disk
+    links: tuple[Row, ...]
+    receivers: tuple[Row, ...]
+    cameras: tuple[Row, ...]
+    clocks: tuple[Row, ...]
+    vehicles: tuple[Row, ...]
+    batteries: tuple[Row, ...]
+    disk: Row
     alarms: tuple[ShownAlarm, ...]
     landed: bool = False
 
@@ -222,8 +152,9 @@ class PageView:
         """How it is altogether: the worst of all, and what that is."""
         if self.recording.level in ("off", "bad"):
             return self.recording
-        states = [(row.link, row.state) for row in self.cameras]
-        states += [(f"clock, {row.link}", row.state) for row in self.clocks] + [("disk", self.disk.state)]
+        states = [(row["link"], row["state"]) for row in self.cameras]
+        states += [(f"clock, {row['link']}", row["state"]) for row in self.clocks]
+        states.append(("disk", self.disk["state"]))
         if not self.landed:
             states = [*self._in_flight(), *states]
         for level in ("bad", "warn"):
@@ -236,11 +167,10 @@ class PageView:
 
     def _in_flight(self) -> list[tuple[str, Word]]:
         """What nobody need be told any more when the crew has landed and switches off."""
-        states = [(row.name, row.state) for row in self.links]
-        states += [(row.name, row.fix) for row in self.receivers]
-        states += [(row.name, row.correction) for row in self.receivers]
-        states += [(row.link, row.state) for row in self.batteries]
-        return [*states, *((row.link, row.mode) for row in self.vehicles)]
+        states = [(row["name"], row["state"]) for row in self.links]
+        states += [(row["name"], row[word]) for word in ("fix", "correction") for row in self.receivers]
+        states += [(row["link"], row["state"]) for row in self.batteries]
+        return [*states, *((row["link"], row["mode"]) for row in self.vehicles)]
 
     def as_json(self) -> dict[str, Any]:
         """Return it for programs."""
@@ -266,14 +196,11 @@ def view_of(state: RecordingState) -> PageView:
             if link.clock_offset_s is not None
         ),
         vehicles=tuple(
-            VehicleRow(
-                name,
-                _mode(vehicle, now_ns),
-                vehicle.armed,
-                vehicle.height_m,
-                vehicle.speed_m_s,
-                vehicle.heading_deg,
-            )
+            {
+                "link": name,
+                "mode": _mode(vehicle, now_ns),
+                **picked(vehicle, "armed", "height_m", "speed_m_s", "heading_deg"),
+            }
             for name, vehicle in sorted(state.vehicles.items())
         ),
         batteries=tuple(_battery(name, battery, now_ns) for name, battery in sorted(state.batteries.items())),
@@ -303,7 +230,7 @@ def _recording(state: RecordingState) -> Word:
     return Word("recording", "good")
 
 
-def _link(name: str, link: LinkState, state: RecordingState, now_ns: int) -> LinkRow:
+def _link(name: str, link: LinkState, state: RecordingState, now_ns: int) -> Row:
     # Whole seconds that the log holds; a log that has stopped holds seconds without frames.
     end = max(state.last_ns // SECOND_NS, now_ns // SECOND_NS - 1)
     counted = [
@@ -320,31 +247,31 @@ def _link(name: str, link: LinkState, state: RecordingState, now_ns: int) -> Lin
         word = Word(f"no data for {silent_s:.0f} s", "warn")
     else:
         word = Word("receiving", "good")
-    return LinkRow(
-        name=name,
-        state=word,
-        frames=link.frames,
-        frames_per_s=sum(frames for frames, _ in counted) / over_s,
-        bytes_per_s=sum(octets for _, octets in counted) / over_s,
-        silent_s=silent_s,
-        gaps=link.gaps,
-        longest_gap_s=_seconds(link.longest_gap_ns),
-        damage_bytes=link.damage_bytes,
-    )
+    return {
+        "name": name,
+        "state": word,
+        "frames": link.frames,
+        "frames_per_s": sum(frames for frames, _ in counted) / over_s,
+        "bytes_per_s": sum(octets for _, octets in counted) / over_s,
+        "silent_s": silent_s,
+        "gaps": link.gaps,
+        "longest_gap_s": _seconds(link.longest_gap_ns),
+        "damage_bytes": link.damage_bytes,
+    }
 
 
-def _receiver(name: str, receiver: ReceiverState, state: RecordingState, now_ns: int) -> ReceiverRow:
+def _receiver(name: str, receiver: ReceiverState, state: RecordingState, now_ns: int) -> Row:
     stale_s = _seconds(now_ns - receiver.time_ns)
     age_s = correction_age_s(receiver, state.links.get(receiver.link, LinkState()), now_ns)
-    return ReceiverRow(
-        name=name,
-        fix=_fix(receiver.fix, stale_s),
-        for_s=_seconds(now_ns - receiver.since_ns),
-        satellites=receiver.satellites if receiver.satellites >= 0 else None,
-        horizontal_m=receiver.horizontal_m,
-        correction=_correction(age_s),
-        correction_age_s=age_s,
-    )
+    return {
+        "name": name,
+        "fix": _fix(receiver.fix, stale_s),
+        "for_s": _seconds(now_ns - receiver.since_ns),
+        "satellites": receiver.satellites if receiver.satellites >= 0 else None,
+        "horizontal_m": receiver.horizontal_m,
+        "correction": _correction(age_s),
+        "correction_age_s": age_s,
+    }
 
 
 def _fix(fix: str, stale_s: float) -> Word:
@@ -362,7 +289,7 @@ def _correction(age_s: float | None) -> Word:
     return Word(f"{age_s:.1f} s old" if age_s < 10 else f"{age_s:.0f} s old", level)
 
 
-def _camera(name: str, state: RecordingState) -> CameraRow:
+def _camera(name: str, state: RecordingState) -> Row:
     # One or two answers may still be on their way.
     unheard_triggers = 3
     counted = state.exposures.get(name, CountedPictures())
@@ -382,16 +309,16 @@ def _camera(name: str, state: RecordingState) -> CameraRow:
         word = Word("no feedback so far", "warn" if counted.triggers >= unheard_triggers else "good")
     else:
         word = Word("all time marks received", "good")
-    return CameraRow(
-        link=name,
-        state=word,
-        triggered=counted.triggers,
-        reported=counted.feedbacks,
-        missed=len(counted.unreported),
-        missed_numbers=missed,
-        time_marks=marks.feedbacks,
-        time_marks_missed=len(marks.unreported),
-    )
+    return {
+        "link": name,
+        "state": word,
+        "triggered": counted.triggers,
+        "reported": counted.feedbacks,
+        "missed": len(counted.unreported),
+        "missed_numbers": missed,
+        "time_marks": marks.feedbacks,
+        "time_marks_missed": len(marks.unreported),
+    }
 
 
 def _shortened(missed: str) -> str:
@@ -413,28 +340,28 @@ def _unless_stale(word: Word, told_ns: int, now_ns: int) -> Word:
     return Word(f"{word.text}, last heard {silent_s:.0f} s ago", "bad") if silent_s > _STALE_S else word
 
 
-def _battery(name: str, battery: Battery, now_ns: int) -> BatteryRow:
+def _battery(name: str, battery: Battery, now_ns: int) -> Row:
     parts = [] if battery.voltage_v is None else [f"{battery.voltage_v:.1f} V"]
     parts += [] if battery.percent is None else [f"{battery.percent} %"]
     left = battery.percent
     level = "off" if left is None else "bad" if left < _EMPTY else "warn" if left < _LOW else "good"
     state = _unless_stale(Word(", ".join(parts), level), battery.time_ns, now_ns)
-    return BatteryRow(name, state, battery.voltage_v, left)
+    return {"link": name, "state": state, "voltage_v": battery.voltage_v, "percent": left}
 
 
-def _clock(name: str, offset_s: float) -> ClockRow:
+def _clock(name: str, offset_s: float) -> Row:
     # A receiver's message comes some tenths of a second after its time; more is a wrong clock.
     clock_limit_s = 1.0
     good = abs(offset_s) <= clock_limit_s
     word = Word(f"in step ({offset_s:+.2f} s)", "good") if good else Word(f"off by {offset_s:+.1f} s", "bad")
-    return ClockRow(name, word, offset_s)
+    return {"link": name, "state": word, "host_minus_device_s": offset_s}
 
 
-def _disk(state: RecordingState) -> Disk:
+def _disk(state: RecordingState) -> Row:
     free = state.look.free_bytes if state.look else None
     speed = bytes_per_s(state)
     if free is None:
-        return Disk(Word("unknown", "off"), None, speed, None)
+        return {"state": Word("unknown", "off"), "free_bytes": None, "bytes_per_s": speed, "hours": None}
     hours = free / speed / 3600 if speed else None
 
     def below(limit: tuple[float, float]) -> bool:
@@ -445,7 +372,7 @@ def _disk(state: RecordingState) -> Disk:
     text = f"{free / _GB:.1f} GB free"
     if hours is not None:
         text += f", {hours:.1f} h" if hours < 10 else f", {hours:.0f} h" if hours < 100 else ", over 100 h"
-    return Disk(Word(text, level), free, speed, hours)
+    return {"state": Word(text, level), "free_bytes": free, "bytes_per_s": speed, "hours": hours}
 
 
 def _seconds(nanoseconds: int) -> float:

@@ -1,7 +1,8 @@
 """The whole judgement of a product at its check points: statistics, tests and classes."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
@@ -24,16 +25,19 @@ _SIDES = {
 
 @dataclass(frozen=True)
 class ComponentResult:
-    """Statistics and tests of one component; tests are None where the sample is too small."""
+    """Statistics and tests of one component; tests are None where the sample is too small.
+
+    points, spread, normality, outliers: none where only moments are known.
+    """
 
     name: str
-    points: tuple[str, ...]
     moments: statistics.Moments
-    spread: statistics.Spread
     bias: statistics.BiasTest | None
-    normality: statistics.NormalityTest | None
-    outliers: tuple[str, ...]
     rmse_after_trend_removal_m: float | None
+    points: tuple[str, ...] = ()
+    spread: statistics.Spread | None = None
+    normality: statistics.NormalityTest | None = None
+    outliers: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,7 @@ class Assessment:
     Attributes
     ----------
     discrepancies
-        Product minus reference, m.
+        Product minus reference, m; no points where only their moments are known.
     question
         What it was judged for.
     components
@@ -93,12 +97,12 @@ class Assessment:
     discrepancies: Discrepancies
     question: Question
     components: tuple[ComponentResult, ...]
-    plane: LengthStatistics | None
-    height: LengthStatistics | None
-    space: LengthStatistics | None
-    similarity: statistics.SimilarityTrend | None
     tables: tuple[TableResult, ...]
     values: tuple[classes.ValueClass, ...]
+    plane: LengthStatistics | None = None
+    height: LengthStatistics | None = None
+    space: LengthStatistics | None = None
+    similarity: statistics.SimilarityTrend | None = None
 
 
 def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], question: Question) -> Assessment:
@@ -121,13 +125,6 @@ def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], questi
     height = discrepancies.component("h")[1][:, np.newaxis]
     given = {"planimetry": plane, "height": height}
     products = {name: classes.sample(vectors) for name, vectors in given.items() if len(vectors)}
-    tables = tuple(
-        apply_table(standard, table, products[table.component], question)
-        for standard in standards
-        if isinstance(standard, ScaleStandard)
-        for table in standard.tables
-        if table.component in products
-    )
     ground = discrepancies.of_ground("open"), discrepancies.of_ground("vegetated")
     heights = [part.component("h")[1][:, np.newaxis] for part in ground]
     values = tuple(
@@ -160,29 +157,55 @@ def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], questi
             for name in COMPONENTS
             if len(discrepancies.component(name)[0])
         ),
+        _tables(standards, products, question),
+        values,
         statistics.length_statistics(statistics.lengths(plane), gsd_m, circle) if len(plane) else None,
         statistics.length_statistics(np.abs(height[:, 0]), gsd_m, line) if len(height) else None,
         statistics.length_statistics(statistics.lengths(space), gsd_m) if len(space) else None,
         _similarity(discrepancies),
-        tables,
-        values,
+    )
+
+
+def assess_moments(
+    moments: Mapping[str, statistics.Moments], standards: tuple[Standard, ...], question: Question
+) -> Assessment:
+    """Judge a product by the moments of its discrepancies, by component; the 90 % rule needs the points."""
+    products = {
+        kind: classes.Sample(tuple(moments[part] for part in parts))
+        for kind, parts in (("planimetry", ("E", "N")), ("height", ("h",)))
+        if parts[0] in moments
+    }
+    values = (
+        classes.value_class(standard, products.get("planimetry"), products.get("height"), question)
+        for standard in standards
+        if isinstance(standard, ValueStandard)
+    )
+    return Assessment(
+        Discrepancies((), np.zeros((0, 3))),
+        question,
+        tuple(_tested_moments(n, moments[n], question.confidence) for n in COMPONENTS if n in moments),
+        _tables(standards, products, question),
+        tuple(values),
     )
 
 
 def _component(discrepancies: Discrepancies, name: str, confidence: float) -> ComponentResult:
     points, values = discrepancies.component(name)
-    figures = statistics.moments(values)
-    enough = figures.n > 1
-    return ComponentResult(
-        name,
-        points,
-        figures,
-        statistics.spread(values),
-        statistics.bias_test(figures, confidence) if enough else None,
-        statistics.normality_test(values, confidence),
-        tuple(points[row] for row in statistics.outliers(values, confidence)),
-        statistics.rmse_after_trend_removal(figures, confidence) if enough else None,
+    return replace(
+        _tested_moments(name, statistics.moments(values), confidence),
+        points=points,
+        spread=statistics.spread(values),
+        normality=statistics.normality_test(values, confidence),
+        outliers=tuple(points[row] for row in statistics.outliers(values, confidence)),
     )
+
+
+def _tested_moments(name: str, figures: statistics.Moments, confidence: float) -> ComponentResult:
+    """What the moments of a component alone say."""
+    if figures.n < 2:
+        return ComponentResult(name, figures, None, None)
+    trend_removed = statistics.rmse_after_trend_removal(figures, confidence)
+    return ComponentResult(name, figures, statistics.bias_test(figures, confidence), trend_removed)
 
 
 def _similarity(discrepancies: Discrepancies) -> statistics.SimilarityTrend | None:
@@ -195,7 +218,20 @@ def _similarity(discrepancies: Discrepancies) -> statistics.SimilarityTrend | No
     return statistics.similarity_trend(both[:, :2], both[:, 2:])
 
 
-def apply_table(
+def _tables(
+    standards: tuple[Standard, ...], products: Mapping[str, classes.Sample], question: Question
+) -> tuple[TableResult, ...]:
+    """Apply the tables of all standards to the products that they are of."""
+    return tuple(
+        _apply_table(standard, table, products[table.component], question)
+        for standard in standards
+        if isinstance(standard, ScaleStandard)
+        for table in standard.tables
+        if table.component in products
+    )
+
+
+def _apply_table(
     standard: ScaleStandard, table: LimitTable, product: classes.Sample, question: Question
 ) -> TableResult:
     """Apply one table of a standard to a product."""

@@ -5,17 +5,16 @@ Check points of which only moments were printed: the same tests and classes as o
 
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from photocal.accuracy import classes, statistics
-from photocal.accuracy.assessment import Assessment, ComponentResult, TableResult, apply_table, findings
+from photocal.accuracy.assessment import Assessment, ComponentResult, TableResult, findings
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN
-from photocal.accuracy.standard import Question, ScaleStandard, Standard, scale_text, size_text
+from photocal.accuracy.standard import scale_text, size_text
 from photocal.accuracy.statistics import LengthStatistics
 from photocal.base.arrays import as_plain, picked
 from photocal.base.errors import InputMalformedError
@@ -50,15 +49,14 @@ def to_json(assessment: Assessment, say: Catalogue | None = None) -> dict[str, A
 
 
 def _component(component: ComponentResult) -> dict[str, Any]:
-    bias, normality = component.bias, component.normality
-    return {
-        **picked(component.moments, "n", "mean_m", "std_m", "rmse_m"),
-        **picked(component, "rmse_after_trend_removal_m", "outliers"),
-        **vars(component.spread),
-        "correction_m": -component.moments.mean_m,
-        "bias_test": bias and {**as_plain(bias), "biased": bias.significant},
-        "normality_test": normality and picked(normality, "w", "p_value", "rejected"),
-    }
+    moments, bias, normality = component.moments, component.bias, component.normality
+    record = picked(moments, "n", "mean_m", "std_m", "rmse_m")
+    record |= picked(component, "rmse_after_trend_removal_m")
+    tested = {"bias_test": bias and {**as_plain(bias), "biased": bias.significant}}
+    if component.spread is None:
+        return record | tested
+    record |= {**picked(component, "outliers"), **vars(component.spread), "correction_m": -moments.mean_m}
+    return record | tested | {"normality_test": normality and picked(normality, "w", "p_value", "rejected")}
 
 
 def _vector(lengths: LengthStatistics | None, **probable: str) -> dict[str, Any] | None:
@@ -171,6 +169,8 @@ def _statistics(assessment: Assessment, say: Catalogue) -> TablePart:
     rows = []
     for c in assessment.components:
         m, s = c.moments, c.spread
+        if s is None:
+            continue
         spreads = (_metres(value) for value in (m.std_m, m.rmse_m, c.rmse_after_trend_removal_m))
         ordered = (_metres(value, "+.3f") for value in (s.minimum_m, s.maximum_m, s.median_m))
         rows.append(
@@ -195,13 +195,18 @@ def _vectors(assessment: Assessment, say: Catalogue) -> TablePart:
 def _tests(assessment: Assessment, say: Catalogue) -> TablePart:
     rows = []
     for c in assessment.components:
-        cells, bias, normality = [_NONE] * 5, c.bias, c.normality
-        if bias is not None:
-            cells[:3] = f"{bias.t:.3f}", f"{bias.critical:.4f}", _yes(bias.significant, say)
+        normal, normality = (_NONE, _NONE), c.normality
         if normality is not None:
-            cells[3:] = f"{normality.p_value:.3f}", _yes(not normality.rejected, say)
-        rows.append((f"d{c.name}", *cells, ", ".join(c.outliers) or _NONE))
+            normal = f"{normality.p_value:.3f}", _yes(not normality.rejected, say)
+        rows.append((f"d{c.name}", *_bias_cells(c, say), *normal, ", ".join(c.outliers) or _NONE))
     return _table("tests", rows, say)
+
+
+def _bias_cells(component: ComponentResult, say: Catalogue) -> tuple[str, str, str]:
+    bias = component.bias
+    if bias is None:
+        return _NONE, _NONE, _NONE
+    return f"{bias.t:.3f}", f"{bias.critical:.4f}", _yes(bias.significant, say)
 
 
 def standard_parts(result: TableResult, say: Catalogue) -> list[Piece]:
@@ -267,29 +272,6 @@ MOMENTS_SCHEMA = "photocal.check-moments/1"
 _FORMS = (("mean_m", "std_m"), ("rmse_m", "t"))
 
 
-@dataclass(frozen=True)
-class ComponentMoments:
-    """Moments of one component and what follows from them.
-
-    trend_removed_m: RMSE after a significant mean has been subtracted, m.
-    """
-
-    name: str
-    moments: statistics.Moments
-    bias: statistics.BiasTest
-    trend_removed_m: float
-
-
-@dataclass(frozen=True)
-class MomentsAssessment:
-    """What is said about a product of which only moments are known."""
-
-    name: str
-    components: tuple[ComponentMoments, ...]
-    tables: tuple[TableResult, ...]
-    values: tuple[classes.ValueClass, ...]
-
-
 def read_moments(path: Path) -> dict[str, dict[str, statistics.Moments]]:
     """Read printed moments: by the name of the set, by component.
 
@@ -341,91 +323,42 @@ def _by_set(
     return answer
 
 
-def assess_moments(
-    name: str,
-    moments: dict[str, statistics.Moments],
-    standards: tuple[Standard, ...],
-    question: Question,
-) -> MomentsAssessment:
-    """Judge a product by the moments of its discrepancies; the 90 % rule needs the points."""
-    products = {
-        kind: classes.Sample(tuple(moments[part] for part in parts))
-        for kind, parts in (("planimetry", ("E", "N")), ("height", ("h",)))
-        if parts[0] in moments
-    }
-    level = question.confidence
-    return MomentsAssessment(
-        name,
-        tuple(
-            ComponentMoments(
-                part,
-                moments[part],
-                statistics.bias_test(moments[part], level),
-                statistics.rmse_after_trend_removal(moments[part], level),
-            )
-            for part in COMPONENTS
-            if part in moments
-        ),
-        tuple(
-            apply_table(standard, limits, products[limits.component], question)
-            for standard in standards
-            if isinstance(standard, ScaleStandard)
-            for limits in standard.tables
-            if limits.component in products
-        ),
-        tuple(
-            classes.value_class(standard, products.get("planimetry"), products.get("height"), question)
-            for standard in standards
-            if not isinstance(standard, ScaleStandard)
-        ),
-    )
-
-
-def moments_record(judged: tuple[MomentsAssessment, ...]) -> dict[str, Any]:
-    """Give assessments as plain values, ready for JSON."""
+def moments_record(judged: Mapping[str, Assessment]) -> dict[str, Any]:
+    """Give assessments of moments, by the names of their sets, as plain values, ready for JSON."""
     return {
         "schema": MOMENTS_SCHEMA,
         "sign": SIGN,
         "unit": "m",
         "sets": [
             {
-                "set": one.name or None,
-                "components": {part.name: _component_moments(part) for part in one.components},
+                "set": name or None,
+                "components": {part.name: _component(part) for part in one.components},
                 "standards": [*map(table_record, one.tables), *map(value_record, one.values)],
             }
-            for one in judged
+            for name, one in judged.items()
         ],
     }
 
 
-def _component_moments(part: ComponentMoments) -> dict[str, Any]:
-    return {
-        **picked(part.moments, "n", "mean_m", "std_m", "rmse_m"),
-        "rmse_after_trend_removal_m": part.trend_removed_m,
-        "bias_test": {**as_plain(part.bias), "biased": part.bias.significant},
-    }
+def moments_text(judged: Mapping[str, Assessment]) -> str:
+    """Write assessments of moments for people: figures in m."""
+    return text([Section(f"set {name}" if name else "", _pieces(one)) for name, one in judged.items()])
 
 
-def moments_text(judged: tuple[MomentsAssessment, ...], question: Question) -> str:
-    """Write assessments for people: figures in m."""
-    return text([Section(f"set {one.name}" if one.name else "", _pieces(one, question)) for one in judged])
-
-
-def _pieces(one: MomentsAssessment, question: Question) -> tuple[Piece, ...]:
+def _pieces(one: Assessment) -> tuple[Piece, ...]:
     heads = ("", "n", "mean", "std (n-1)", "RMSE", "without trend", "t", "limit", "bias")
     rows = [
         (
             f"d{part.name}",
             str(part.moments.n),
             f"{part.moments.mean_m:+.3f}",
-            *(f"{value:.3f}" for value in (part.moments.std_m, part.moments.rmse_m, part.trend_removed_m)),
-            f"{part.bias.t:.3f}",
-            f"{part.bias.critical:.4f}",
-            "yes" if part.bias.significant else "no",
+            *map(_metres, (part.moments.std_m, part.moments.rmse_m, part.rmse_after_trend_removal_m)),
+            *_bias_cells(part, catalogue("en")),
         )
         for part in one.components
     ]
-    head = f"moments as printed; discrepancies are {SIGN}, in metres; tests at {question.confidence:.0%}."
+    level = one.question.confidence
+    head = f"moments as printed; discrepancies are {SIGN}, in metres; tests at {level:.0%}."
     parts: list[Piece] = [Paragraph(head), table("Moments", heads, rows)]
     for result in one.tables:
         parts += standard_parts(result, catalogue("en"))

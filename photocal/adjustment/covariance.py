@@ -25,7 +25,7 @@ from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 def complete(at: Factored, iterations: tuple[Iteration, ...]) -> Solution:
     """Give the minimum its statistics."""
     problem, state, normal = at.problem, at.state, at.normal
-    network, structure = problem.network, problem.structure
+    network, structure = problem.network, problem.layout.envelope
     inverse = at.inverse
     point_covariance = np.zeros((len(state.points), 3, 3))
     residuals, redundancy = np.zeros((2, *network.rays.plane.shape))
@@ -176,7 +176,7 @@ def blocks(columns: Integers, structure: Structure, inverse: Floats) -> Floats:
 def _camera_covariance(problem: Problem, inverse: Floats) -> Floats:
     covariance = np.zeros((len(problem.network.cameras), len(PARAMETERS), len(PARAMETERS)))
     for block, (active, columns) in zip(covariance, problem.layout.camera_columns, strict=True):
-        block[np.ix_(active, active)] = blocks(columns[None, :], problem.structure, inverse)[0]
+        block[np.ix_(active, active)] = blocks(columns[None, :], problem.layout.envelope, inverse)[0]
     return covariance
 
 
@@ -185,7 +185,9 @@ def _common_covariance(problem: Problem, inverse: Floats) -> Floats:
     unknown = np.flatnonzero(columns >= 0)
     covariance = np.zeros((len(columns), len(columns)))
     if len(unknown):
-        covariance[np.ix_(unknown, unknown)] = blocks(columns[unknown][None], problem.structure, inverse)[0]
+        covariance[np.ix_(unknown, unknown)] = blocks(
+            columns[unknown][None], problem.layout.envelope, inverse
+        )[0]
     return covariance
 
 
@@ -195,14 +197,14 @@ def _photo_variant(problem: Problem, state: State, inverse: Floats) -> PhotoVari
     image, place = np.nonzero(parameters >= 0)
     camera, parameter = network.exposures.camera[image], parameters[image, place]
     column = problem.layout.own_columns[image, place]
-    deviation = blocks(column[:, None], problem.structure, inverse)[:, 0, 0]
+    deviation = blocks(column[:, None], problem.layout.envelope, inverse)[:, 0, 0]
     common = np.full((len(network.cameras), len(OWN)), -1)
     for k, (active, columns) in enumerate(problem.layout.camera_columns):
         common[k, active] = columns
     shared = common[camera, parameter]
     variance = deviation.copy()
     both = shared >= 0
-    pairs = blocks(np.column_stack([column[both], shared[both]]), problem.structure, inverse)
+    pairs = blocks(np.column_stack([column[both], shared[both]]), problem.layout.envelope, inverse)
     variance[both] = pairs.sum(axis=(1, 2))
     return PhotoVariant(
         image,

@@ -257,13 +257,13 @@ def full_solution(
     for reduced_row, of_points in zip(reduced, right, strict=True):
         if of_points.any():
             taken = np.zeros((threads, layout.size))
-            reduce_right(problem.design, problem.structure, of_points, normal.kept, taken)
+            reduce_right(problem.design, problem.layout.envelope, of_points, normal.kept, taken)
             reduced_row += taken.sum(axis=0)
     reduced[:, problem.held] = 0.0
     steps = np.ascontiguousarray(solve(layout.envelope, normal.matrix, reduced.T).T)
     points = np.zeros_like(right)
     for step, of_points, moved in zip(steps, right, points, strict=True):
         kept = normal.kept._replace(gradient=-of_points)
-        back_substitute(problem.design, problem.structure, step, kept, moved, np.zeros(threads))
+        back_substitute(problem.design, problem.layout.envelope, step, kept, moved, np.zeros(threads))
         moved[layout.kept_points] = step[layout.point_columns]
     return steps.reshape(np.shape(reduced_right)), points.reshape(np.shape(point_right))

@@ -9,38 +9,6 @@ from photocal.base.arrays import Floats
 
 
 @dataclass(frozen=True)
-class Ellipses:
-    """Error ellipses in the X, Y plane.
-
-    probability: that the true position lies inside.
-    semi_axes (n, 2): the larger one first, m.
-    azimuth (n,): of the larger axis, from the Y axis towards X, in [0, pi) radians; 0 for a circle.
-    """
-
-    probability: float
-    semi_axes: Floats
-    azimuth: Floats
-
-
-@dataclass(frozen=True)
-class Ellipsoids:
-    """Error ellipsoids.
-
-    probability: that the true position lies inside.
-    semi_axes (n, 3): from the largest to the smallest, m.
-    directions (n, 3, 3): unit vectors of the axes, one in each row; their Z is not negative.
-    azimuth, elevation (n, 3): of each axis: from the Y axis towards X, in [0, 2 pi), and above the X, Y
-        plane, radians.
-    """
-
-    probability: float
-    semi_axes: Floats
-    directions: Floats
-    azimuth: Floats
-    elevation: Floats
-
-
-@dataclass(frozen=True)
 class MeanPrecision:
     """Precision of many points in few figures.
 
@@ -70,28 +38,35 @@ def enlargement(probability: float, dimensions: int) -> float:
     return float(np.sqrt(special.chdtri(dimensions, 1.0 - probability)))
 
 
-def ellipses(covariance: Floats, probability: float) -> Ellipses:
-    """Error ellipses of positions in the X, Y plane.
+def ellipses(covariance: Floats, probability: float) -> tuple[Floats, Floats]:
+    """Error ellipses of positions in the X, Y plane, inside of which the true ones lie with a probability.
 
     covariance (n, m, m): m^2, m at least 2; X and Y are the first two.
+    returns: semi-axes (n, 2), the larger one first, m; and the azimuth of the larger one (n,), from the Y
+        axis towards X, in [0, pi) radians, 0 for a circle.
     """
     lengths, vectors = _axes(covariance[:, :2, :2])
     azimuth = np.arctan2(vectors[:, 0, 0], vectors[:, 0, 1]) % np.pi
     # 1e-9 below pi is 0: the axis has no sign.
     azimuth = np.where((np.pi - azimuth < 1e-9) | np.isclose(lengths[:, 0], lengths[:, 1]), 0.0, azimuth)
-    return Ellipses(probability, lengths * enlargement(probability, 2), azimuth)
+    return lengths * enlargement(probability, 2), azimuth
 
 
-def ellipsoids(covariance: Floats, probability: float) -> Ellipsoids:
-    """Error ellipsoids of positions.
+def ellipsoids(covariance: Floats, probability: float) -> tuple[Floats, Floats]:
+    """Error ellipsoids of positions, inside of which the true ones lie with a probability.
 
     covariance (n, 3, 3): m^2.
+    returns: semi-axes (n, 3), from the largest to the smallest, m; and unit vectors of the axes (n, 3, 3),
+        one in each row, whose Z is not negative.
     """
     lengths, vectors = _axes(covariance)
-    vectors = vectors * np.where(vectors[..., 2:] < 0, -1.0, 1.0)
-    azimuth = np.arctan2(vectors[..., 0], vectors[..., 1]) % (2 * np.pi)
-    elevation = np.arctan2(vectors[..., 2], np.hypot(vectors[..., 0], vectors[..., 1]))
-    return Ellipsoids(probability, lengths * enlargement(probability, 3), vectors, azimuth, elevation)
+    return lengths * enlargement(probability, 3), vectors * np.where(vectors[..., 2:] < 0, -1.0, 1.0)
+
+
+def azimuth_and_elevation(directions: Floats) -> tuple[Floats, Floats]:
+    """Where vectors (..., 3) point: from the Y axis towards X, in [0, 2 pi), and above the plane, rad."""
+    x, y, z = np.moveaxis(directions, -1, 0)
+    return np.arctan2(x, y) % (2 * np.pi), np.arctan2(z, np.hypot(x, y))
 
 
 def _axes(covariance: Floats) -> tuple[Floats, Floats]:
@@ -120,9 +95,9 @@ def mean_precision(covariance: Floats, points: Floats) -> MeanPrecision:
     )
 
 
-def spheres(space: Ellipsoids) -> Floats:
+def spheres(semi_axes: Floats) -> Floats:
     """Radii (n,) of the spheres of the same volume as error ellipsoids: never above their quadratic mean."""
-    return np.asarray(np.cbrt(np.prod(space.semi_axes, axis=1)))
+    return np.asarray(np.cbrt(np.prod(semi_axes, axis=1)))
 
 
 def hottier_factor(equations: int, parameters: int) -> float | None:

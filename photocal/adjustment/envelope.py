@@ -8,7 +8,6 @@ done panel by panel with dense kernels of the linear algebra library. A small ma
 import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from functools import cache, wraps
 from typing import ParamSpec, TypeVar
 
@@ -16,6 +15,7 @@ import numpy as np
 from scipy.linalg import blas, lapack
 from threadpoolctl import ThreadpoolController
 
+from photocal.adjustment.kernels.data import Structure
 from photocal.base.arrays import Flags, Floats, Integers
 
 PANEL = 144
@@ -23,50 +23,12 @@ Asked = ParamSpec("Asked")
 Made = TypeVar("Made")
 
 
-@dataclass(frozen=True)
-class Envelope:
-    """Structure of a matrix.
-
-    panel: columns in a panel (the last one may have fewer).
-    last (panels,): one past the last row of the band part of each panel.
-    width (panels + 1,): columns of each panel; the border is the last.
-    offset (panels + 2,): where each panel begins in the array of values; the border is the last but one.
-    band, border: columns of the band and of the border.
-    """
-
-    panel: int
-    last: Integers
-    width: Integers
-    offset: Integers
-    band: int
-    border: int
-
-    @property
-    def size(self) -> int:
-        """Order of the matrix."""
-        return self.band + self.border
-
-    def panels(self, values: Floats) -> list[Floats]:
-        """Views of the panels, each (rows, columns); the border's own panel is the last."""
-        return [
-            values[self.offset[j] : self.offset[j + 1]].reshape(-1, w) if w else np.zeros((0, 0))
-            for j, w in enumerate(self.width)
-        ]
-
-    def start(self, j: int) -> int:
-        """First column of panel j."""
-        return j * self.panel
-
-    def zeros(self) -> Floats:
-        """Make the array of values of a matrix of this structure."""
-        return np.zeros(int(self.offset[-1]))
-
-
-def envelope(reach: Integers, block: int, border: int, columns: int = PANEL) -> Envelope:
+def envelope(reach: Integers, block: int, border: int, columns: int = PANEL, lens: int = 0) -> Structure:
     """Make the structure from how far down each block of columns reaches.
 
     reach (blocks,): one past the last row that is not zero in the columns of each block.
     columns: of a panel; rounded to whole blocks.
+    lens: columns of the border that belong to the cameras.
     """
     band = len(reach) * block
     panel = max(columns // block, 1) * block
@@ -78,7 +40,7 @@ def envelope(reach: Integers, block: int, border: int, columns: int = PANEL) -> 
     width = np.append(ends - starts, border)
     rows = np.append(last - starts + border, border)
     offset = np.concatenate([[0], np.cumsum(rows * width)])
-    return Envelope(panel, last, width, offset, band, border)
+    return Structure(panel, last, width, offset, band, border, lens)
 
 
 @cache
@@ -104,7 +66,7 @@ def on_one_thread(function: Callable[Asked, Made]) -> Callable[Asked, Made]:
     return alone
 
 
-def factorise(structure: Envelope, values: Floats, known: Floats | None = None, same: int = 0) -> int:
+def factorise(structure: Structure, values: Floats, known: Floats | None = None, same: int = 0) -> int:
     """Replace a matrix by its Cholesky factor, in place.
 
     known: factor of a matrix with the same elements in the first `same` columns.
@@ -116,7 +78,7 @@ def factorise(structure: Envelope, values: Floats, known: Floats | None = None, 
         return _factorised(structure, structure.panels(values), alike)
 
 
-def _factorised(structure: Envelope, panels: list[Floats], known: list[Floats]) -> int:
+def _factorised(structure: Structure, panels: list[Floats], known: list[Floats]) -> int:
     for j, panel in enumerate(panels):
         here, _, width = _places(structure, j)
         if width == 0:
@@ -138,12 +100,12 @@ def _factorised(structure: Envelope, panels: list[Floats], known: list[Floats]) 
     return -1
 
 
-def _reached(structure: Envelope, begin: int, last: int) -> range:
+def _reached(structure: Structure, begin: int, last: int) -> range:
     """Panels from one on that begin above a row of the band."""
     return range(begin, min(math.ceil(last / structure.panel), len(structure.last)))
 
 
-def _update_later(structure: Envelope, panels: list[Floats], j: int, below: Floats, begin: int = 0) -> None:
+def _update_later(structure: Structure, panels: list[Floats], j: int, below: Floats, begin: int = 0) -> None:
     """Subtract the outer product of panel j's rows from the panels, some first ones left out, they reach."""
     first = structure.start(j) + int(structure.width[j])
     last = int(structure.last[j]) if j < len(structure.last) else first
@@ -167,7 +129,7 @@ def _subtract(target: Floats, left: Floats, right: Floats) -> None:
             target -= left.T @ right
 
 
-def solve(structure: Envelope, factor: Floats, right: Floats) -> Floats:
+def solve(structure: Structure, factor: Floats, right: Floats) -> Floats:
     """Solve with a factorised matrix.
 
     right (n,) or (n, m): right-hand sides.
@@ -180,7 +142,7 @@ def solve(structure: Envelope, factor: Floats, right: Floats) -> Floats:
     return x.reshape(right.shape)
 
 
-def _substitute(structure: Envelope, panels: list[Floats], x: Floats) -> None:
+def _substitute(structure: Structure, panels: list[Floats], x: Floats) -> None:
     """Solve in place: forward, then back."""
     border = x[structure.band :]
     for j, panel in enumerate(panels):
@@ -201,14 +163,14 @@ def _substitute(structure: Envelope, panels: list[Floats], x: Floats) -> None:
             x[here] = blas.dtrsm(1.0, panel[:width].T, part, lower=0)
 
 
-def _places(structure: Envelope, j: int) -> tuple[slice, slice, int]:
+def _places(structure: Structure, j: int) -> tuple[slice, slice, int]:
     """Columns of panel j, the rows of the band below its diagonal block, and its width."""
     top, width = structure.start(j) if j < len(structure.last) else structure.band, int(structure.width[j])
     last = int(structure.last[j]) if j < len(structure.last) else top + width
     return slice(top, top + width), slice(top + width, last), width
 
 
-def _rows(structure: Envelope, j: int) -> Integers:
+def _rows(structure: Structure, j: int) -> Integers:
     """Rows below the diagonal block of panel j."""
     if j == len(structure.last):
         return np.zeros(0, dtype=np.int64)
@@ -216,7 +178,7 @@ def _rows(structure: Envelope, j: int) -> Integers:
     return np.concatenate([np.arange(rows.start, rows.stop), np.arange(structure.band, structure.size)])
 
 
-def selected_inverse(structure: Envelope, factor: Floats) -> Floats:
+def selected_inverse(structure: Structure, factor: Floats) -> Floats:
     """Elements of the inverse within the structure (Takahashi, Fagan and Chin 1973, by panels).
 
     returns: values of the inverse's lower triangle; the diagonal blocks are complete.
@@ -227,7 +189,7 @@ def selected_inverse(structure: Envelope, factor: Floats) -> Floats:
     return inverse
 
 
-def border_inverse(structure: Envelope, factor: Floats) -> Floats:
+def border_inverse(structure: Structure, factor: Floats) -> Floats:
     """Elements of the inverse within the border, as `selected_inverse` has them; all others are zero."""
     inverse = structure.zeros()
     if structure.border:
@@ -241,7 +203,7 @@ def _inverse_of(factor: Floats) -> tuple[Floats, Floats]:
     return root.T @ root, root
 
 
-def _invert(structure: Envelope, factors: list[Floats], results: list[Floats]) -> None:
+def _invert(structure: Structure, factors: list[Floats], results: list[Floats]) -> None:
     for j in reversed(range(len(factors))):
         width = int(structure.width[j])
         if width == 0:
@@ -256,7 +218,7 @@ def _invert(structure: Envelope, factors: list[Floats], results: list[Floats]) -
         results[j][:width] += scaled.T @ product
 
 
-def _gathered(structure: Envelope, results: list[Floats], j: int) -> Floats:
+def _gathered(structure: Structure, results: list[Floats], j: int) -> Floats:
     """Inverse among the rows below panel j, full and symmetric."""
     first = structure.start(j) + int(structure.width[j])
     last, border = int(structure.last[j]), structure.border
@@ -273,7 +235,7 @@ def _gathered(structure: Envelope, results: list[Floats], j: int) -> Floats:
     return square
 
 
-def product(structure: Envelope, factor: Floats) -> Floats:
+def product(structure: Structure, factor: Floats) -> Floats:
     """Matrix of a Cholesky factor."""
     values = structure.zeros()
     panels = structure.panels(values)
@@ -287,7 +249,7 @@ def product(structure: Envelope, factor: Floats) -> Floats:
     return np.negative(values, out=values)
 
 
-def clear(structure: Envelope, values: Floats, columns: Flags) -> None:
+def clear(structure: Structure, values: Floats, columns: Flags) -> None:
     """Set rows and columns of a matrix, given by its lower triangle, to zero."""
     for j, panel in enumerate(structure.panels(values)):
         here, _, width = _places(structure, j)
@@ -296,7 +258,7 @@ def clear(structure: Envelope, values: Floats, columns: Flags) -> None:
         panel[width:][columns[_rows(structure, j)]] = 0.0
 
 
-def multiply(structure: Envelope, values: Floats, x: Floats) -> Floats:
+def multiply(structure: Structure, values: Floats, x: Floats) -> Floats:
     """Multiply a matrix of a structure, given by its lower triangle, with vectors of shape (n, m)."""
     product = np.zeros_like(x)
     for j, panel in enumerate(structure.panels(values)):
@@ -309,7 +271,7 @@ def multiply(structure: Envelope, values: Floats, x: Floats) -> Floats:
     return product
 
 
-def dense(structure: Envelope, values: Floats) -> Floats:
+def dense(structure: Structure, values: Floats) -> Floats:
     """Matrix of a structure as a full symmetric array, shape (n, n)."""
     full = np.zeros((structure.size, structure.size))
     for j, panel in enumerate(structure.panels(values)):

@@ -130,7 +130,7 @@ def member_tests(at: Factored, solution: Solution) -> tuple[Member, ...]:
     positions, points = network.positions, network.points
     if len(positions.image):
         rows = at.others["position"]
-        taken = equation_covariance(rows, at.problem.structure, at.inverse, 3)
+        taken = equation_covariance(rows, at.problem.layout.envelope, at.inverse, 3)
         residual = rows.residual.reshape(-1, 3)
         root = np.asarray(np.linalg.cholesky(positions.covariance), dtype=np.float64)
         members += _members("position", positions.image, residual, taken, root, np.ones(residual.shape, bool))

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from photocal.adjustment.envelope import Envelope, envelope
-from photocal.adjustment.kernels.data import POSE, WIDTHS
+from photocal.adjustment.envelope import PANEL, envelope
+from photocal.adjustment.kernels.data import POSE, WIDTHS, Structure
 from photocal.adjustment.network import Network, own_parameters
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.compiled import compiled
@@ -32,7 +32,8 @@ class Layout:
         those that are no unknowns.
     kept_points (m,): points that are not eliminated because observations relate them to others.
     point_columns (m, 3): their columns.
-    envelope, strips: structure of the matrix, and of the same with a panel for each image.
+    envelope, strips: structure of the matrix, and of the same with a panel for each image, as pieces of
+        points fill it: its offsets count rows.
     size: number of columns.
     width: columns of each image, one of `WIDTHS`.
     """
@@ -43,8 +44,8 @@ class Layout:
     common_columns: Integers
     kept_points: Integers
     point_columns: Integers
-    envelope: Envelope
-    strips: Envelope
+    envelope: Structure
+    strips: Structure
     size: int
     width: int
 
@@ -71,6 +72,7 @@ def layout(network: Network, ray_start: Integers) -> Layout:
         active = np.flatnonzero(camera.estimated)
         camera_columns.append((active, column + np.arange(len(active))))
         column += len(active)
+    lens = column - width * count
     mounted = bool(len(network.positions.image) or len(network.attitudes.image))
     common = (network.mounting.sigma != 0) & mounted, rig.unknown(network.exposures.camera).ravel()
     unknown = np.flatnonzero(np.concatenate(common))
@@ -81,6 +83,7 @@ def layout(network: Network, ray_start: Integers) -> Layout:
     point_columns = column + np.arange(3 * len(kept_points)).reshape(-1, 3)
     column += point_columns.size
     reach, border = width * (last + 1), column - width * count
+    strips = envelope(reach, width, border, width, lens)
     return Layout(
         image_columns,
         own_columns,
@@ -88,8 +91,8 @@ def layout(network: Network, ray_start: Integers) -> Layout:
         common_columns,
         kept_points,
         point_columns,
-        envelope(reach, width, border),
-        envelope(reach, width, border, width),
+        envelope(reach, width, border, PANEL, lens),
+        strips._replace(offset=strips.offset // width),
         column,
         width,
     )

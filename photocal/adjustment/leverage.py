@@ -89,7 +89,7 @@ def _rays(fitted: AdjustedNetwork, group: Integers, steps: Floats, moved: Floats
     changes = followed_by(fitted.factored, steps, moved)[:, order]
     unit = np.ascontiguousarray(np.broadcast_to(np.eye(3)[:, None], (3, *fitted.state.points.shape)))
     by_point, nothing = np.zeros((3, *rays.plane.shape)), np.zeros((3, problem.layout.size))
-    along(problem.design, values_of(problem, fitted.state), problem.structure, nothing, unit, by_point)
+    along(problem.design, values_of(problem, fitted.state), problem.layout.envelope, nothing, unit, by_point)
     return _Rays(
         of_ray[order],
         rays.point[order],

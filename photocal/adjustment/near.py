@@ -61,7 +61,7 @@ class Removals:
         self._matrix[diagonal_addresses(problem)[problem.stiffened]] /= 2.0
         for rows in at.others.values():
             less = rows._replace(weight=-rows.weight)
-            add_equations(*less, problem.structure, self._matrix, self._gradient)
+            add_equations(*less, problem.layout.envelope, self._matrix, self._gradient)
         # No ray touches these: nothing is to be left of them, not even rounding.
         common = np.zeros(problem.layout.size, dtype=np.bool_)
         common[problem.layout.common_columns[problem.layout.common_columns >= 0]] = True
@@ -103,7 +103,9 @@ class Removals:
             touched |= columns
             for rows in other_equations(problem, state).values():
                 touched[rows.column[np.repeat(_touched(rows, columns), np.diff(rows.start))]] = True
-                add_equations(*_untouched(rows, columns), problem.structure, normal.matrix, normal.gradient)
+                add_equations(
+                    *_untouched(rows, columns), problem.layout.envelope, normal.matrix, normal.gradient
+                )
             diagonal = diagonal_addresses(problem)
             normal.matrix[diagonal[held]] = 1.0
             normal.matrix[diagonal[problem.stiffened]] *= 2.0
@@ -134,8 +136,9 @@ class Removals:
         left = eliminated(problem, 0, len(points))
         np.copyto(self._room, self._matrix)
         gradient = self._gradient.copy()
-        reduced, removed = Reduced(problem.structure, self._room, gradient), Removed(out, stays, points, lost)
-        room = point_room(problem.layout.width, max(problem.layout.width, problem.structure.lens))
+        reduced = Reduced(problem.layout.envelope, self._room, gradient)
+        removed = Removed(out, stays, points, lost)
+        room = point_room(problem.layout.width, max(problem.layout.width, problem.layout.envelope.lens))
         remove_images(design, self._values, reduced, removed, kept, left, room)
         before = [whole[points] for whole in kept[1:]]
         try:

@@ -7,7 +7,7 @@ import numpy as np
 
 from photocal.adjustment import observations
 from photocal.adjustment.equations import Equations, add_equations
-from photocal.adjustment.kernels.data import WIDTHS, Design, Eliminated, Structure, Values
+from photocal.adjustment.kernels.data import WIDTHS, Design, Eliminated, Values
 from photocal.adjustment.kernels.elimination import Contribution, accumulate, join
 from photocal.adjustment.layout import Layout, layout
 from photocal.adjustment.network import Network, own_parameters
@@ -25,8 +25,6 @@ PIECES, RAYS_IN_PIECE, BORDERS, STRIPS = 16, 10_000, 4_000_000, 24_000_000
 class Problem:
     """A network made ready for the kernels.
 
-    structure, strips: of the reduced matrix, and with a panel for each image, as pieces of points fill it:
-        its offsets count rows.
     held (layout.size,): columns of the reduced system that are no unknowns.
     stiffened: columns that carry the datum of a free network, see `datum.with_datum`.
     """
@@ -34,8 +32,6 @@ class Problem:
     network: Network
     layout: Layout
     design: Design
-    structure: Structure
-    strips: Structure
     held: Flags
     stiffened: Integers
 
@@ -109,19 +105,12 @@ def prepare(network: Network) -> Problem:
     design = Design(
         *(np.ascontiguousarray(a, dtype=np.int64 if a.dtype.kind == "i" else float) for a in arrays)
     )
-    structure, strips = (
-        Structure(shape.panel, shape.last, shape.width, offset, shape.band, shape.border, int(count.sum()))
-        for shape, offset in (
-            (where.envelope, where.envelope.offset),
-            (where.strips, where.strips.offset // where.width),
-        )
-    )
     held = np.zeros(where.size, dtype=np.bool_)
     held[: where.envelope.band] = True
     held[where.image_columns[exposures.sigma != 0]] = False
     held[where.own_columns[where.own_columns >= 0]] = False
     held[where.point_columns[points.held[where.kept_points]]] = True
-    return Problem(network, where, design, structure, strips, held, np.zeros(0, dtype=np.int64))
+    return Problem(network, where, design, held, np.zeros(0, dtype=np.int64))
 
 
 def pieces_of(
@@ -183,7 +172,7 @@ def eliminated(problem: Problem, rays: int, points: int) -> Eliminated:
     """Make room for what elimination leaves of some rays and points."""
     return Eliminated(
         np.empty((rays, 3, problem.layout.width)),
-        np.empty((points, 3, problem.structure.lens)),
+        np.empty((points, 3, problem.layout.envelope.lens)),
         np.empty((points, 3, 3)),
         np.empty((points, 3)),
         np.zeros(points, dtype=np.bool_),
@@ -197,7 +186,7 @@ def add_rays(
 
     returns gradient (layout.size,), chi_squared.
     """
-    structure, strips = problem.structure, problem.strips
+    structure, strips = problem.layout.envelope, problem.layout.strips
     first, last = design.reach.T
     start = np.concatenate([[0], np.cumsum(strips.offset[last] - strips.offset[first])])
     room = np.zeros((int(start[-1]), problem.layout.width))
@@ -218,7 +207,7 @@ def normal_equations(
     problem: Problem, state: State, damping: float = 0.0, room: Eliminated | None = None
 ) -> Normal:
     """Set up the reduced normal equations at a state."""
-    design, structure = problem.design, problem.structure
+    design, structure = problem.design, problem.layout.envelope
     kept = room or eliminated(problem, len(design.ray_image), len(design.point_free))
     matrix = np.zeros(int(structure.offset[-1]))
     values = values_of(problem, state)
@@ -236,7 +225,7 @@ def normal_equations(
 
 def diagonal_addresses(problem: Problem) -> Integers:
     """Where the diagonal stands among the values of the reduced matrix, shape (layout.size,)."""
-    structure = problem.structure
+    structure = problem.layout.envelope
     column = np.arange(structure.band)
     home = column // structure.panel
     inside = column - home * structure.panel

@@ -295,7 +295,7 @@ def _judged(problem: Problem, solution: Solution, camera: int, value: float, sig
     step[_column(problem, camera)] = value
     change = np.zeros(problem.network.rays.plane.shape)
     still = np.zeros_like(solution.points)
-    along(problem.design, values_of(problem, solution.state), problem.structure, step, still, change)
+    along(problem.design, values_of(problem, solution.state), problem.layout.envelope, step, still, change)
     its_images = exposures.camera == camera
     of_camera = change[its_images[problem.network.rays.image]]
     speed = 0.0 if motion is None else float(np.median(np.linalg.norm(motion[its_images, :3], axis=1)))

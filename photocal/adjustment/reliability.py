@@ -150,7 +150,7 @@ def _on_own_points(at: Factored) -> Floats:
     problem, normal, state = at.problem, at.normal, at.state
     design, values = problem.design, values_of(problem, state)
     inverse = selected_inverse(problem.layout.envelope, normal.matrix)
-    cofactors = Cofactors(problem.structure, inverse, normal.kept)
+    cofactors = Cofactors(problem.layout.envelope, inverse, normal.kept)
     covariance = np.zeros((len(state.points), 3, 3))
     spare = np.empty((2, *design.weight.shape))
     statistics(design, values, cofactors, covariance, spare[0], spare[1])

@@ -58,7 +58,7 @@ def pulled(at: Factored, fields: Floats) -> tuple[Floats, Floats]:
     problem, values = at.problem, values_of(at.problem, at.state)
     gradients = np.zeros((len(problem.design.pieces) - 1, len(fields), problem.layout.size))
     points = np.zeros((len(fields), *at.state.points.shape))
-    across(problem.design, values, problem.structure, np.ascontiguousarray(fields), gradients, points)
+    across(problem.design, values, problem.layout.envelope, np.ascontiguousarray(fields), gradients, points)
     reduced = gradients.sum(axis=0)
     reduced[:, problem.layout.point_columns] += points[:, problem.layout.kept_points]
     return reduced, points
@@ -71,5 +71,5 @@ def followed_by(at: Factored, step: Floats, moved: Floats) -> Floats:
     """
     problem, change = at.problem, np.zeros((*step.shape[:-1], *at.problem.design.weight.shape))
     directions = np.ascontiguousarray(step), np.ascontiguousarray(moved)
-    along(problem.design, values_of(problem, at.state), problem.structure, *directions, change)
+    along(problem.design, values_of(problem, at.state), problem.layout.envelope, *directions, change)
     return change

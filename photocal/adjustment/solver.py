@@ -211,7 +211,7 @@ def _around_the_bend(problem: Problem, normal: Normal, state: State, step: Float
 
     To the second order: geodesic acceleration (Transtrum and Sethna 2012, arXiv:1201.5885).
     """
-    design, structure, layout = problem.design, problem.structure, problem.layout
+    design, structure, layout = problem.design, problem.layout.envelope, problem.layout
     points, threads = np.zeros_like(state.points), len(design.pieces) - 1
     back_substitute(design, structure, step, normal.kept, points, np.zeros(threads))
     points[layout.kept_points] = step[layout.point_columns]
@@ -352,7 +352,7 @@ def moved_by(problem: Problem, state: State, normal: Normal, step: Floats) -> tu
     moved = moved_exposures(problem.network, problem.layout, state, step)
     points = state.points.copy()
     decreases = np.zeros(len(problem.design.pieces) - 1)
-    back_substitute(problem.design, problem.structure, step, normal.kept, points, decreases)
+    back_substitute(problem.design, problem.layout.envelope, step, normal.kept, points, decreases)
     points[problem.layout.kept_points] += step[problem.layout.point_columns]
     moved = round_the_middle(problem.network, state, replace(moved, points=points))
     return moved, float(decreases.sum() - normal.gradient @ step)
@@ -372,7 +372,7 @@ class Near:
 
 def gradient(problem: Problem, state: State, equations: list[Equations]) -> tuple[float, Floats, Floats]:
     """Sum of v'Pv, and half its derivatives to the unknowns of the reduced system and to the points."""
-    design, structure, layout = problem.design, problem.structure, problem.layout
+    design, structure, layout = problem.design, problem.layout.envelope, problem.layout
     threads = len(design.pieces) - 1
     totals, reduced, points = np.zeros(threads), np.zeros((threads, layout.size)), np.zeros_like(state.points)
     pulls(design, values_of(problem, state), structure, totals, reduced, points)

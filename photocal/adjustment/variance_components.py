@@ -21,17 +21,8 @@ from photocal.base.errors import IllPosedError, NotConvergedError
 
 # A variance is settled when a round changes it by less than this share of itself.
 SETTLED = 1e-3
-
-
-@dataclass(frozen=True)
-class RayGroups:
-    """Division of the rays into groups of one standard deviation each.
-
-    group (rays,).
-    """
-
-    names: tuple[str, ...]
-    group: Integers
+# Division of the rays into groups of one standard deviation each: names, and the group of each ray.
+RayGroups = tuple[tuple[str, ...], Integers]
 
 
 @dataclass(frozen=True)
@@ -78,13 +69,13 @@ class VarianceComponents:
 
 def rays_together(network: Network) -> RayGroups:
     """All rays as one group, `image`."""
-    return RayGroups(("image",), np.zeros(len(network.rays.image), dtype=np.int64))
+    return ("image",), np.zeros(len(network.rays.image), dtype=np.int64)
 
 
 def rays_by_camera(network: Network) -> RayGroups:
     """One group of rays for each camera, named after it."""
     names = tuple(f"image {camera.id}" for camera in network.cameras)
-    return RayGroups(names, network.exposures.camera[network.rays.image])
+    return names, network.exposures.camera[network.rays.image]
 
 
 def estimate_components(
@@ -115,7 +106,7 @@ def estimate_components(
         scaled = with_factors(network, rays, factors)
         fitted = adjusted_network(scaled, report, state)
         solution, state = fitted.solution, fitted.state
-        groups = groups_of_rays(scaled, solution, rays.names, rays.group)
+        groups = groups_of_rays(scaled, solution, *rays)
         groups += [group for group in solution.groups if group.name != "image"]
         free = [g for g in groups if g.name not in hold and g.redundancy > fewest]
         change = {group.name: group.chi_squared / group.redundancy for group in free}
@@ -160,7 +151,8 @@ def with_factors(network: Network, rays: RayGroups, factors: dict[str, float]) -
         """Factor of a group; 1 for one that is not estimated."""
         return factors.get(name, 1.0)
 
-    by_ray = np.array([of(name) for name in rays.names])[rays.group]
+    names, group = rays
+    by_ray = np.array([of(name) for name in names])[group]
     by_relation = np.array([of(kind) for kind in network.relations.names])[network.relations.kind]
     exposures, positions = network.exposures, network.positions
     attitudes, mounting, rig, frame = network.attitudes, network.mounting, network.rig, of("rig")

@@ -1,7 +1,7 @@
 """Geodetic and earth-centred coordinates, by PROJ."""
 
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,14 @@ if TYPE_CHECKING:
 
 
 WGS84 = "+ellps=WGS84"
+
+
+class GeodeticPlace(NamedTuple):
+    """A place on the earth; `height_m`: above the ellipsoid, or above mean sea level where that is said."""
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
 
 
 @cache

@@ -41,9 +41,11 @@ class _Parameter(Table, extra="ignore"):
     estimated: bool = False
 
 
-class _Correlation(Table):
+class CorrelationKeys(Table):
+    """Correlations between parameters."""
+
     names: tuple[str, ...]
-    matrix: tuple[tuple[float, ...], ...]
+    matrix: tuple[tuple[FiniteFloat, ...], ...]
 
 
 class StoredCalibration(Table, extra="ignore"):
@@ -57,7 +59,7 @@ class StoredCalibration(Table, extra="ignore"):
     distortion_at: str = "adjusted"
     reference_radius: float = 0.0
     parameters: dict[str, _Parameter]
-    correlation: _Correlation
+    correlation: CorrelationKeys
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -154,13 +156,6 @@ class GustKeys(Table):
 
     velocity_m_s: NonNegative = 0.5
     rate_deg_s: NonNegative = 6.0
-
-
-class CorrelationKeys(Table):
-    """Correlations between parameters."""
-
-    names: tuple[str, ...]
-    matrix: tuple[tuple[FiniteFloat, ...], ...]
 
 
 class CameraKeys(Table):

@@ -94,24 +94,24 @@ def with_start_values(
         directions = np.trace(known, axis1=1, axis2=2)
         for surveyed in (directions > 2.5, directions > 0.5):
             trusted = points if block.datum == "free" else np.where(surveyed[:, None], points, np.nan)
-            start = start_values(
+            oriented, placed, lost = start_values(
                 block.cameras, exposures.camera, values, trusted, rays, relations, free=block.datum == "free"
             )
-            if not len(start.lost):
+            if not len(lost):
                 break
-        if len(start.lost):
-            some = ", ".join(block.images.names[i] for i in start.lost[:5])
+        if len(lost):
+            some = ", ".join(block.images.names[i] for i in lost[:5])
             raise IllPosedError(
-                f"no start values for {len(start.lost)} image(s) ({some}): too few points connect them",
+                f"no start values for {len(lost)} image(s) ({some}): too few points connect them",
                 "give X, Y, Z, omega, phi, kappa roughly, or measure more common points",
                 where="images.csv",
             )
-        exposures = replace(exposures, values=start.exposures)
-        points = np.where(np.isnan(points), start.points, points)
+        exposures = replace(exposures, values=oriented)
+        points = np.where(np.isnan(points), placed, points)
         # The directions in which a control point is free start where its rays meet.
-        partly = (directions > 0.5) & (directions < 2.5) & np.isfinite(start.points).all(axis=1)
+        partly = (directions > 0.5) & (directions < 2.5) & np.isfinite(placed).all(axis=1)
         open_ones = np.eye(3) - known[partly]
-        away = (start.points - points)[partly]
+        away = (placed - points)[partly]
         points[partly] += np.einsum("nab,nb->na", open_ones, away)
     return exposures, _intersected(block.cameras, exposures, rays, points, known, surveyed)
 

@@ -134,11 +134,11 @@ def judge_product(
 
 def judge_moments(path: Path, standards: tuple[Standard, ...], question: Question) -> Judged:
     """Judge products of which only moments were printed."""
-    from photocal.accuracy.output import assess_moments, moments_record, moments_text, read_moments
+    from photocal.accuracy.assessment import assess_moments
+    from photocal.accuracy.output import moments_record, moments_text, read_moments
 
-    sets = read_moments(path).items()
-    made = tuple(assess_moments(name, moments, standards, question) for name, moments in sets)
-    return moments_record(made), moments_text(made, question)
+    made = {name: assess_moments(one, standards, question) for name, one in read_moments(path).items()}
+    return moments_record(made), moments_text(made)
 
 
 def judge_variance(path: Path) -> Judged:

@@ -9,7 +9,7 @@ from photocal.base.errors import ConfigurationError
 from photocal.exchange.formats import exported
 
 if TYPE_CHECKING:
-    from photocal.exchange.reconstruction import Angle
+    from photocal.exchange.exporting import Angle
 
 FORMATS = ", ".join(exported())
 
@@ -31,8 +31,9 @@ def export(
     Example: `photocal export run --format colmap -o colmap`
     """
     from photocal.base.files import output_folder
+    from photocal.base.geodesy import GeodeticPlace
+    from photocal.exchange.exporting import Choices, middle, of_result
     from photocal.exchange.formats import named
-    from photocal.exchange.reconstruction import Choices, Origin, middle, of_result
     from photocal.results.folder import read_result
 
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
@@ -40,11 +41,13 @@ def export(
         raise ConfigurationError(f"angle unit {angle_unit!r} is not known", "use deg or gon")
     touching = None
     if origin:
-        touching = Origin(*numbers_of(origin, "--origin", "LATITUDE,LONGITUDE,HEIGHT: degrees, metres"))
-    choices = Choices(cast("Angle", angle_unit) if angle_unit else None, touching, now)
+        touching = GeodeticPlace(
+            *numbers_of(origin, "--origin", "LATITUDE,LONGITUDE,HEIGHT: degrees, metres")
+        )
     chosen = named(form)
     adjusted = read_result(run)
-    given = of_result(adjusted)
+    given, residuals_px = of_result(adjusted)
+    choices = Choices(cast("Angle", angle_unit) if angle_unit else None, touching, now, residuals_px)
     with output_folder(output) as aside:
         conversions = chosen.write(aside, given, choices)
         files = sorted(str(path.relative_to(aside)) for path in aside.rglob("*") if path.is_file())

@@ -42,7 +42,7 @@ def mark(
     if as_json:
         answer(True, lambda: _figures(scene, store), str)
     else:
-        _show(scene, store, address, cache)
+        _show(project, run, scene, store, address, cache)
 
 
 def _scene(
@@ -78,16 +78,29 @@ def _figures(scene: Scene, store: MarkStore) -> dict[str, object]:
     }
 
 
-def _show(scene: Scene, store: MarkStore, address: str, cache: Path | None) -> None:
+def _show(
+    project: Path | None,
+    run: Path | None,
+    scene: Scene,
+    store: MarkStore,
+    address: str,
+    cache: Path | None,
+) -> None:
     from photocal.base.operating_system import cache_folder, stopped_by_signals
     from photocal.base.web import read_address, serving
-    from photocal.measurement.marking.service import application
+    from photocal.desk.standing import application, marking_application
+    from photocal.project import NAME
 
     stop = stopped_by_signals()
     for name, picture in scene.pictures.items():
         if picture.reason:
             typer.echo(printable(f"{name}: {picture.reason}"), err=True)
-    page = application(scene, store, cache or cache_folder())
+    tiles = cache or cache_folder()
+    # The window is that of a folder: a project file of another name has its marks there, and nothing else.
+    if project is not None and (project.is_dir() or project.name == NAME):
+        page = application(project if project.is_dir() else project.parent, tiles, "mark", run)
+    else:
+        page = marking_application(scene, store, tiles)
     with serving(page, read_address(address)) as url:
         typer.echo(f"open {url} (Ctrl-C ends); marks: {store.path}")
         stop.wait()

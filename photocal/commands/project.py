@@ -51,7 +51,7 @@ def new(
     if again:
         parts["changed"] = made.changes
     rows = {"read": made.rows, "used": made.rows_used, "not_used": made.refused}
-    marked = {"rows": rows, "frames": [offer.figures() for offer in made.frames]}
+    marked = {"rows": rows, "frames": list(made.frames)}
     answer(
         as_json,
         lambda: {"schema": "photocal.new/1", "project": str(made.path), **parts, **marked},

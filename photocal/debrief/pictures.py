@@ -217,7 +217,7 @@ def orient_quickly(
         freed = with_released_c(adjusted)
         loosely = with_released_c(adjusted, _LOOSE)
         cameras = camera_figures(adjusted, told_by_rays(freed, loosely))
-        return Quick(len(first.kept), first.left_out, cameras, ground)
+        return Quick(len(adjusted.start.images.names), first.left_out, cameras, ground)
 
 
 def told_by_rays(freed: Solution | None, loosely: Solution | None) -> Solution | None:

@@ -6,7 +6,6 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
@@ -14,6 +13,7 @@ from starlette.routing import BaseRoute, Route
 
 from photocal.base.web import doing, finding, telling
 from photocal.desk.session import Desk
+from photocal.desk.tiles import Pictures
 
 if TYPE_CHECKING:
     from photocal.desk.views.service import Look
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _BYTES = "application/octet-stream"
 
 
-def routes(desk: Desk) -> list[BaseRoute]:
+def routes(desk: Desk, pictures: Pictures) -> list[BaseRoute]:
     """Return what answers below ``/api/look``; what it needs is loaded beside, not before, the window."""
     lock, made = threading.Lock(), list["Look"]()
 
@@ -31,7 +31,7 @@ def routes(desk: Desk) -> list[BaseRoute]:
             if not made:
                 from photocal.desk.views.service import Look
 
-                made.append(Look(desk))
+                made.append(Look(desk, pictures))
             return made[0]
 
     def arrays(path: str, make: Callable[[], bytes]) -> Route:
@@ -42,15 +42,6 @@ def routes(desk: Desk) -> list[BaseRoute]:
             return Response(await run_in_threadpool(make), media_type=_BYTES)
 
         return Route(path, give)
-
-    async def tile(request: Request) -> Response:
-        """Answer with a tile of a picture."""
-        asked = request.path_params
-        made = await run_in_threadpool(
-            lambda: look().tile(asked["image"], (asked["level"], asked["column"], asked["row"]))
-        )
-        # Nobody waits for the broom.
-        return Response(made, media_type="image/jpeg", background=BackgroundTask(look().tidy))
 
     async def ground(request: Request) -> Response:
         """Answer with a tile of the orthophoto."""
@@ -80,13 +71,8 @@ def routes(desk: Desk) -> list[BaseRoute]:
         told("/api/look/overlap", lambda here: here.overlap()[0]),
         arrays("/api/look/overlap.bin", lambda: look().overlap()[1]),
         arrays("/api/look/ties.bin", lambda: look().ties()),
-        Route("/api/look/tiles/{image}/{level:int}/{column:int}/{row:int}", tile),
         Route("/api/look/ground/{level:int}/{column:int}/{row:int}", ground),
         told("/api/look/left-out", lambda here: here.left_out()),
         done("/api/look/leave-out", lambda here, body: here.leave_out(body)),
         done("/api/look/take-back", lambda here, body: here.take_back(body)),
-        told("/api/look/marks", lambda here: here.marking().state()),
-        found("/api/look/marks/images", lambda here, asked: here.marking().images(asked.get("point", ""))),
-        done("/api/look/marks/mark", lambda here, body: here.marking().mark(body)),
-        done("/api/look/marks/undo", lambda here, _: here.marking().undo()),
     ]

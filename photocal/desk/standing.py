@@ -3,16 +3,20 @@
 The window: its page, its libraries, and the answers of each step.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
+from starlette.routing import BaseRoute
 
 from photocal.base.errors import PhotocalError
 from photocal.base.web import calling, doing, folder_of, refusal, telling
-from photocal.desk import certificate, checks, folder, look, record, running
+from photocal.desk import certificate, checks, folder, look, marking, record, running, tiles
 from photocal.desk.session import Desk
 from photocal.findings.texts import catalogue
+from photocal.measurement.marking.service import MarkingService
+from photocal.measurement.marking.store import MarkStore, Scene
 from photocal.project import Project
 
 Stands = dict[str, str]
@@ -36,7 +40,7 @@ def shown(desk: Desk) -> dict[str, Any]:
 def standing(desk: Desk) -> dict[str, Stands]:
     """How the steps of the project stand."""
     none = _as("none", "")
-    steps = dict.fromkeys(("folder", "check", "run", "look", "certificate", "record"), none)
+    steps = dict.fromkeys(("folder", "check", "run", "look", "certificate", "mark", "record"), none)
     if not desk.file.is_file():
         return {**steps, "folder": _as("none", "stands.choose")}
     checked = checks.kept(desk)
@@ -75,22 +79,56 @@ def _as(state: str, word: str) -> Stands:
     return {"state": state, "word": word}
 
 
-_STEPS = (folder.routes, checks.routes, running.routes, look.routes, certificate.routes, record.routes)
+_STEPS = (folder.routes, checks.routes, running.routes, certificate.routes, record.routes)
 
 
-def application(root: Path, cache: Path) -> Starlette:
+def application(root: Path, cache: Path, place: str = "", run: Path | None = None) -> Starlette:
     """Return the page of a folder and what answers it.
 
+    place: where it opens, instead of at the step that comes next.
+    run: adjustment that orients the pictures of the place Mark, instead of the project's own.
     raises InputNotFoundError: when there is no such folder.
     """
     desk = Desk(root, cache)
+    pictures = tiles.OpenPictures(desk)
+    opens = {"next": place} if place else {}
+    return _served(
+        lambda: shown(desk) | opens,
+        calling(_speak, desk),
+        *(route for step in _STEPS for route in step(desk)),
+        *look.routes(desk, pictures),
+        *marking.routes(
+            marking.OpenMarking(desk, run),
+            lambda: desk.line(["mark", desk.folder, *(("--run", run) if run else ())]),
+        ),
+        tiles.route(pictures, cache),
+    )
+
+
+def marking_application(scene: Scene, store: MarkStore, cache: Path) -> Starlette:
+    """Return the page with the place Mark alone, for pictures without a project of the usual name."""
+    service = MarkingService(scene, store)
+    here = {"root": str(store.path), "folder": ".", "file": False, "title": scene.name, "next": "mark"}
+    told = here | {"steps": {"mark": _as("none", "")}, "line": ""}
+    return _served(
+        lambda: told,
+        calling(_spoken),
+        *marking.routes(lambda: service),
+        tiles.route(lambda: scene.pictures, cache),
+    )
+
+
+def _served(
+    told: Callable[[], dict[str, Any]], speak: Callable[[bytes], Any], *answers: BaseRoute
+) -> Starlette:
+    """The page, its libraries, how it stands, and what answers it."""
     return Starlette(
         routes=[
             *folder_of("photocal.desk", "page"),
             *folder_of("photocal.desk", "vendor", "/vendor/"),
-            telling("/api/desk", lambda: shown(desk)),
-            doing("/api/language", calling(_speak, desk)),
-            *(route for step in _STEPS for route in step(desk)),
+            telling("/api/desk", told),
+            doing("/api/language", speak),
+            *answers,
         ],
         exception_handlers={PhotocalError: refusal},
     )
@@ -99,3 +137,7 @@ def application(root: Path, cache: Path) -> Starlette:
 def _speak(desk: Desk, language: str) -> dict[str, str]:
     desk.language = catalogue(language).language
     return {"language": desk.language}
+
+
+def _spoken(language: str) -> dict[str, str]:
+    return {"language": catalogue(language).language}

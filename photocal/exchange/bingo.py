@@ -8,50 +8,33 @@ line: that of a large project has millions of rays.
 import re
 from array import array
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError
+from photocal.block.model import Observations
 from photocal.block.table import MARKS
+from photocal.exchange.parts import pixels
 from photocal.exchange.source import Line, decimal_comma, number, read_text, require_readable
 from photocal.geometry.camera import Camera
 
 _SENSOR = re.compile(r"sensor width of\s*(\d+(?:\.\d+)?)\s*x\s*(\d+(?:\.\d+)?)\s*mm")
 
 
-@dataclass(frozen=True)
-class BingoRays:
-    """Rays of a table, each point once in an image.
-
-    image, point (n,): of each ray; points in the order in which they appear, `names`.
-    xy (n, 2): columns and rows, px.
-    unknown: images of the table that the project does not have.
-    outside: rays that lie farther outside their image than it is large: left out.
-    """
-
-    image: Integers
-    point: Integers
-    names: tuple[str, ...]
-    xy: Floats
-    unknown: int
-    outside: int
-
-
 def read_bingo(
     path: Path, names: Sequence[str], member: Sequence[int], cameras: Sequence[Camera], marked: frozenset[str]
-) -> BingoRays:
-    """Read a table of the images of a project.
+) -> tuple[tuple[str, ...], Observations, list[str]]:
+    """Read a table of the images of a project; each point counts once in an image.
 
     member: camera of each image. marked: points that stand there with a prefix that no other table has.
+    returns: names of the points in the order in which they appear; their observations; and what was left out.
     """
     image_of, sensors = in_order(names), _sensors(path.parent)
     image, pitch, middle, unknown, outside = -1, (0.0, 0.0), (0.0, 0.0), 0, 0
     rays, where, number_of = array("q"), array("d"), dict[str, int]()
     seen = dict[int, set[int]]()
-    # Measurements are within half a side from the middle, distorted ones by little more.
+    # Measurements are within half a side from the middle, distorted ones by little more; others lie outside.
     far = 3.0
     for at, text in _lines(path):
         cells = text.split()
@@ -83,9 +66,11 @@ def read_bingo(
                 middle = (size[0] - 1) / 2, (size[1] - 1) / 2
     if not rays:
         raise InputMalformedError("has no measurement of a calibrated image", where=path)
+    told = [f"{unknown} images of {path.name} are not calibrated: left out"] if unknown else []
+    told += [f"{outside} rays of {path.name} lie outside their images: left out"] if outside else []
     table = np.array(rays, dtype=np.int64).reshape(-1, 2)
-    xy = np.array(where).reshape(-1, 2)
-    return BingoRays(table[:, 0], table[:, 1], _named(tuple(number_of), marked), xy, unknown, outside)
+    observed = pixels(table[:, 0], table[:, 1], np.array(where).reshape(-1, 2))
+    return _named(tuple(number_of), marked), observed, told
 
 
 def _named(written: Sequence[str], marked: frozenset[str]) -> tuple[str, ...]:

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError
 from photocal.block.model import Block, Images, ObjectPoints
+from photocal.exchange.exporting import Choices
 from photocal.exchange.foreign_project import ForeignProject
-from photocal.exchange.parts import block, digits, pixels, require_no_blanks, whole_numbers
+from photocal.exchange.parts import block, digits, pixels, rays_of, require_no_blanks, whole_numbers
 from photocal.exchange.pinhole import (
     LARGEST,
     Pinhole,
@@ -31,7 +32,6 @@ from photocal.exchange.pinhole import (
     to_pinhole,
     to_vision,
 )
-from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.rigs import Frame, Rig, Sensor, of_colmap, sensor_of
 from photocal.exchange.source import Line, image_size, numbers, read_lines, read_text, require_readable, whole
 from photocal.geometry.camera import PARAMETERS, Camera, Model
@@ -411,18 +411,21 @@ def read_colmap(folder: Path) -> Block:
     return of_colmap(given, folder, keys, read[0](paths[0]), read[1](paths[1]))
 
 
-def write_text(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def write_text(folder: Path, given: Block, choices: Choices) -> tuple[Conversion, ...]:
     """cameras.txt, images.txt, points3D.txt."""
-    return write_colmap(folder, given)
+    return write_colmap(folder, given, choices)
 
 
-def write_binary(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def write_binary(folder: Path, given: Block, choices: Choices) -> tuple[Conversion, ...]:
     """cameras.bin, images.bin, points3D.bin."""
-    return write_colmap(folder, given, binary=True)
+    return write_colmap(folder, given, choices, binary=True)
 
 
-def write_colmap(folder: Path, given: Reconstruction, *, binary: bool = False) -> tuple[Conversion, ...]:
+def write_colmap(
+    folder: Path, given: Block, choices: Choices, *, binary: bool = False
+) -> tuple[Conversion, ...]:
     """Write a model folder."""
+    images, listed, seen = given.images, given.points, given.observations
     made = [to_pinhole(camera, "COLMAP", _OTHERS) for camera in given.cameras]
     lenses = []
     for k, (pinhole, _conversion) in enumerate(made, start=1):
@@ -430,23 +433,23 @@ def write_colmap(folder: Path, given: Reconstruction, *, binary: bool = False) -
         # The principal point half a pixel further.
         values = [getattr(pinhole, n) + (0.5 if n in ("cx", "cy") else 0) for n in MODELS[NUMBERS[model]][1]]
         lenses.append(Lens(k, model, pinhole.size_px, tuple(values)))
-    rotation, translation = to_vision(given.poses)
+    rotation, translation = to_vision(images.values)
     quaternion = quaternion_from_rotation(rotation)
-    keys = np.array([int(name) for name in whole_numbers(given.point_names)], dtype=np.int64)
-    place = np.empty(len(given.image), dtype=np.int64)
+    keys = np.array([int(name) for name in whole_numbers(listed.names)], dtype=np.int64)
+    place = np.empty(len(seen.image), dtype=np.int64)
     shots = []
-    for k, (name, rays) in enumerate(zip(given.image_names, given.rays_of_images, strict=True)):
+    for k, rays in enumerate(rays_of(seen.image, len(images.names))):
         place[rays] = np.arange(len(rays))
         pose = tuple(quaternion[k].tolist()), tuple(translation[k].tolist())
-        marks = given.pixels[rays] + 0.5
-        shots.append(Shot(k + 1, *pose, int(given.image_camera[k]) + 1, name, marks, keys[given.point[rays]]))
-    track = np.column_stack([given.image + 1, place])
-    tracks = [track[rays] for rays in given.rays_of_points]
+        marks, points_seen = seen.values[rays] + 0.5, keys[seen.point[rays]]
+        shots.append(Shot(k + 1, *pose, int(images.camera[k]) + 1, images.names[k], marks, points_seen))
+    track = np.column_stack([seen.image + 1, place])
+    tracks = [track[rays] for rays in rays_of(seen.point, len(listed.names))]
     # Mean length of each point's residuals, px; -1 when not known.
-    count = np.bincount(given.point, minlength=len(given.point_names))
-    total = np.bincount(given.point, np.hypot(*given.residuals_px.T), minlength=len(count))
+    count = np.bincount(seen.point, minlength=len(listed.names))
+    total = np.bincount(seen.point, np.hypot(*choices.residuals_of(given).T), minlength=len(count))
     errors = np.where((count > 0) & np.isfinite(total), total / np.maximum(count, 1), -1.0)
-    points = list(zip(keys.tolist(), given.xyz.tolist(), errors.tolist(), tracks, strict=True))
+    points = list(zip(keys.tolist(), listed.values.tolist(), errors.tolist(), tracks, strict=True))
     (write_binary_model if binary else write_text_model)(folder, lenses, shots, points)
     return tuple(conversion for _, conversion in made)
 

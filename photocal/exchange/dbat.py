@@ -26,8 +26,8 @@ from photocal.exchange.dbat_camera import (
     to_column_row,
     to_dbat,
 )
+from photocal.exchange.exporting import Choices
 from photocal.exchange.foreign_project import ForeignProject, in_pixels
-from photocal.exchange.reconstruction import Choices, Reconstruction, as_block
 from photocal.exchange.source import (
     beside,
     child,
@@ -424,7 +424,10 @@ def _operations(element: Element, camera: Camera) -> None:
         SubElement(element, "operation").text = name
 
 
-def write(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
-    """A set-up and its tables."""
-    write_dbat(folder, as_block(given, given.name, 1.0, ()))
+def write(folder: Path, given: Block, _: Choices) -> tuple[Conversion, ...]:
+    """A set-up and its tables; orientations and tie points are start values there."""
+    seen, images = given.observations, given.images
+    rays = parts.pixels(seen.image, seen.point, seen.values)
+    started = Images(images.names, images.camera, images.values)
+    write_dbat(folder, parts.block(given.name, given.cameras, started, given.points, rays, ()))
     return tuple(Conversion(camera) for camera in given.cameras)

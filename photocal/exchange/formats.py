@@ -93,8 +93,8 @@ from photocal.base.errors import (
 
 if TYPE_CHECKING:
     from photocal.block.model import Block
+    from photocal.exchange.exporting import Choices
     from photocal.exchange.foreign_project import ForeignProject
-    from photocal.exchange.reconstruction import Choices, Reconstruction
     from photocal.geometry.conversion import Conversion
 
 
@@ -118,7 +118,7 @@ class Format:
     holds: what comes back when it is read; the points of some formats are the surveyed ones only.
     distortion: its direction: added to the projection, or correcting the measurement.
     reads: takes one of its files, gives a `ForeignProject`. Empty: it is not read.
-    writes: takes a folder, or the file in it that is named after a colon, a `Reconstruction` and `Choices`;
+    writes: takes a folder, or the file in it that is named after a colon, a `Block` and `Choices`;
         gives a `Conversion` for each camera. Empty: it is not exported.
     opens: patterns of the names of files that `photocal adjust` takes.
     search: pattern of the file that stands for a whole project in a folder; the first of `opens` without it.
@@ -181,14 +181,14 @@ class Format:
         files = (file for pattern in patterns for file in folder.rglob(_in_any_case(pattern)))
         return sorted(files, key=lambda file: (len(file.parts), file.name))
 
-    def write(self, folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+    def write(self, folder: Path, given: Block, choices: Choices) -> tuple[Conversion, ...]:
         """Write a block.
 
         raises ConfigurationError, InputMalformedError: when the format has no place for the block, or a
             choice is missing.
         """
         if self.space == "cartesian":
-            from photocal.exchange.reconstruction import to_cartesian
+            from photocal.exchange.exporting import to_cartesian
 
             given = to_cartesian(given)
         name, *file = self.writes.split(":")

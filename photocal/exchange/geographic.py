@@ -16,10 +16,11 @@ import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
-from photocal.base.geodesy import enu_axes, geocentric, geodetic
+from photocal.base.geodesy import GeodeticPlace, enu_axes, geocentric, geodetic
 from photocal.base.geopackage import LOCAL, Feature, Layer, add_layer, add_table, geopackage, wgs84
+from photocal.block.model import ROLES, Block
+from photocal.exchange.exporting import Choices, to_cartesian, to_wgs84
 from photocal.exchange.pinhole import to_vision
-from photocal.exchange.reconstruction import Choices, Origin, Reconstruction, to_cartesian, to_wgs84
 from photocal.exchange.source import write_xml
 from photocal.geometry.conversion import Conversion
 from photocal.geometry.distortion import undistorted
@@ -28,7 +29,7 @@ from photocal.geometry.distortion import undistorted
 ToGeographic = Callable[[Floats], Floats]
 
 
-def topocentric(origin: Origin) -> ToGeographic:
+def topocentric(origin: GeodeticPlace) -> ToGeographic:
     """Make the way from a topocentric frame (east, north, up) to WGS 84.
 
     raises ConfigurationError: for an origin that is not on the Earth.
@@ -40,7 +41,7 @@ def topocentric(origin: Origin) -> ToGeographic:
             f"origin {origin.latitude_deg}, {origin.longitude_deg}, {origin.height_m} is not on the Earth",
             "give latitude and longitude in degrees, ellipsoidal height in m",
         )
-    middle = geocentric(origin.latitude_deg, origin.longitude_deg, origin.height_m)
+    middle = geocentric(*origin)
     axes = enu_axes(origin.latitude_deg, origin.longitude_deg)
 
     def turn(xyz: Floats) -> Floats:
@@ -51,23 +52,23 @@ def topocentric(origin: Origin) -> ToGeographic:
     return turn
 
 
-def write_geojson(path: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+def write_geojson(path: Path, given: Block, choices: Choices) -> tuple[Conversion, ...]:
     """Write exposures, footprints and points."""
     listed = [
         {"type": "Feature", "geometry": geometry, "properties": properties}
-        for geometry, properties in features(*located(given, choices))
+        for geometry, properties in located_features(given, choices)
     ]
     content = {"type": "FeatureCollection", "features": listed}
     path.write_text(json.dumps(content, allow_nan=False), encoding="utf-8", newline="\n")
     return ()
 
 
-def write_kml(path: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+def write_kml(path: Path, given: Block, choices: Choices) -> tuple[Conversion, ...]:
     """Write exposures, footprints and points."""
     root = Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     document = SubElement(root, "Document")
     folders: dict[str, Element] = {}
-    for geometry, properties in features(*located(given, choices)):
+    for geometry, properties in located_features(given, choices):
         kind = properties["kind"]
         if kind not in folders:
             folders[kind] = SubElement(document, "Folder")
@@ -82,12 +83,12 @@ def write_kml(path: Path, given: Reconstruction, choices: Choices) -> tuple[Conv
     return ()
 
 
-def footprints(given: Reconstruction, height_m: float) -> Floats:
+def footprints(given: Block, height_m: float) -> Floats:
     """Corners of each image on a horizontal plane."""
-    rotation, _ = to_vision(given.poses)
-    corners = np.full((len(given.poses), 4, 3), np.nan)
-    for k, pose in enumerate(given.poses):
-        camera = given.cameras[given.image_camera[k]]
+    rotation, _ = to_vision(given.images.values)
+    corners = np.full((len(given.images.values), 4, 3), np.nan)
+    for k, pose in enumerate(given.images.values):
+        camera = given.cameras[given.images.camera[k]]
         half = np.array(camera.size_px) * camera.pitch / 2
         edge = np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]]) * half
         rays = undistorted(camera, edge) / camera.value("c") * [1.0, -1.0]
@@ -100,20 +101,27 @@ def footprints(given: Reconstruction, height_m: float) -> Floats:
 
 
 def features(
-    given: Reconstruction, to_geographic: ToGeographic
+    given: Block, residuals_px: Floats, to_geographic: ToGeographic
 ) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """Give exposures, footprints on the median height of the points, and points."""
-    exposures = to_geographic(given.poses[:, 3:])
-    for k, name in enumerate(given.image_names):
+    """Give exposures, footprints on the median height of the points, and points.
+
+    residuals_px (rays, 2): NaN where they are not known.
+    """
+    exposures = to_geographic(given.images.values[:, 3:])
+    for k, name in enumerate(given.images.names):
         angles = dict(
-            zip(("omega_deg", "phi_deg", "kappa_deg"), np.degrees(given.poses[k, :3]).tolist(), strict=True)
+            zip(
+                ("omega_deg", "phi_deg", "kappa_deg"),
+                np.degrees(given.images.values[k, :3]).tolist(),
+                strict=True,
+            )
         )
-        camera = given.cameras[given.image_camera[k]].id
-        known = {"camera": camera, **angles, **_sigma(given.pose_sigma[k, 3:])}
+        camera = given.cameras[given.images.camera[k]].id
+        known = {"camera": camera, **angles, **_sigma(given.images.sigma[k, 3:])}
         yield _point(exposures[k]), {"kind": "exposure", "name": name, **known}
-    seen = np.bincount(given.point, minlength=len(given.point_names))
-    ground = float(np.median(given.xyz[:, 2])) if len(given.xyz) else math.nan
-    for name, ring in zip(given.image_names, footprints(given, ground), strict=True):
+    seen = np.bincount(given.observations.point, minlength=len(given.points.names))
+    ground = float(np.median(given.points.values[:, 2])) if len(given.points.values) else math.nan
+    for name, ring in zip(given.images.names, footprints(given, ground), strict=True):
         if np.isfinite(ring).all():
             closed = to_geographic(np.vstack([ring, ring[:1]]))
             # RFC 7946: exterior rings run counterclockwise.
@@ -124,13 +132,13 @@ def features(
                 {"type": "Polygon", "coordinates": [closed[:, :2].tolist()]},
                 {"kind": "footprint", "name": name, "plane_z_m": ground},
             )
-    points = to_geographic(given.xyz)
-    for k, name in enumerate(given.point_names):
-        known = {"rays": int(seen[k]), **_sigma(given.xyz_sigma[k])}
-        residuals = given.residuals_px[given.point == k]
+    points = to_geographic(given.points.values)
+    for k, name in enumerate(given.points.names):
+        known = {"rays": int(seen[k]), **_sigma(given.points.sigma[k])}
+        residuals = residuals_px[given.observations.point == k]
         if len(residuals) and np.isfinite(residuals).all():
             known["residual_rms_px"] = float(np.sqrt(np.mean(residuals**2)))
-        yield _point(points[k]), {"kind": given.roles[k] if given.roles else "point", "name": name, **known}
+        yield _point(points[k]), {"kind": ROLES[given.points.role[k]], "name": name, **known}
 
 
 def _point(position: Floats) -> dict[str, Any]:
@@ -153,7 +161,7 @@ def _kml_geometry(place: Element, geometry: dict[str, Any]) -> None:
     SubElement(ring, "coordinates").text = " ".join(f"{x!r},{y!r}" for x, y in corners)
 
 
-def located(given: Reconstruction, choices: Choices) -> tuple[Reconstruction, ToGeographic]:
+def located(given: Block, choices: Choices) -> tuple[Block, ToGeographic]:
     """A Cartesian block, and the way from its coordinates to longitude, latitude and height."""
     if given.frame != "local":
         if choices.origin is not None:
@@ -168,6 +176,12 @@ def located(given: Reconstruction, choices: Choices) -> tuple[Reconstruction, To
             "name its origin: --origin LATITUDE,LONGITUDE,HEIGHT (deg, m above the ellipsoid)",
         )
     return given, topocentric(choices.origin)
+
+
+def located_features(given: Block, choices: Choices) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Features of a block at their longitudes, latitudes and heights."""
+    there, to_geographic = located(given, choices)
+    return features(there, choices.residuals_of(given), to_geographic)
 
 
 _SIGMAS = {"sX_m": "DOUBLE", "sY_m": "DOUBLE", "sZ_m": "DOUBLE"}
@@ -195,34 +209,33 @@ _RESIDUALS = {
 }
 
 
-def write_geopackage(
-    path: Path, given: Reconstruction, to_geographic: ToGeographic | None, changed_utc: str
-) -> None:
+def write_geopackage(path: Path, given: Block, to_geographic: ToGeographic | None, choices: Choices) -> None:
     """Write a GeoPackage; `to_geographic`: from `geographic.topocentric`; None keeps local coordinates."""
+    residuals_px, seen = choices.residuals_of(given), given.observations
     system = LOCAL if to_geographic is None else wgs84()
     layers: dict[str, tuple[Layer, list[Feature]]] = {
         layer.name: (layer, []) for layer in (_EXPOSURES, _FOOTPRINTS, _POINTS)
     }
-    for geometry, properties in features(given, to_geographic or np.array):
+    for geometry, properties in features(given, residuals_px, to_geographic or np.array):
         layer = _KINDS.get(properties["kind"], _POINTS)
         values = [properties.get(column) for column in layer.columns]
         corners = geometry["coordinates"]
         corners = np.array(corners[0] if geometry["type"] == "Polygon" else [corners], dtype=float)
         layers[layer.name][1].append((corners, values))
-    columns = (values.tolist() for values in (given.image, given.point, given.pixels, given.residuals_px))
+    columns = (values.tolist() for values in (seen.image, seen.point, seen.values, residuals_px))
     rows = (
-        (given.image_names[i], given.point_names[j], *xy, *v) for i, j, xy, v in zip(*columns, strict=True)
+        (given.images.names[i], given.points.names[j], *xy, *v) for i, j, xy, v in zip(*columns, strict=True)
     )
     with geopackage(path, system) as database:
         for layer, layer_features in layers.values():
-            add_layer(database, layer, system, layer_features, changed_utc)
-        add_table(database, "image_residuals", _RESIDUALS, rows, changed_utc)
+            add_layer(database, layer, system, layer_features, choices.changed_utc)
+        add_table(database, "image_residuals", _RESIDUALS, rows, choices.changed_utc)
 
 
-def export_geopackage(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+def export_geopackage(folder: Path, given: Block, choices: Choices) -> tuple[Conversion, ...]:
     """A layer for each kind of thing."""
     turn: ToGeographic | None = None
     if choices.origin is not None or given.frame != "local":
         given, turn = located(given, choices)
-    write_geopackage(folder / "block.gpkg", given, turn, choices.changed_utc)
+    write_geopackage(folder / "block.gpkg", given, turn, choices)
     return ()

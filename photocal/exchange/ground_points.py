@@ -20,8 +20,9 @@ import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.block.model import Block
+from photocal.exchange.exporting import Choices
 from photocal.exchange.parts import Mark, digits, require_no_blanks, require_unique
-from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import Line, number, numbers, read_lines
 from photocal.geometry.conversion import Conversion
 from photocal.geometry.rotation import matrix_from_angles
@@ -209,7 +210,7 @@ def write_geo(path: Path, crs: str, images: Places) -> None:
     path.write_text("\n".join([crs, *rows]) + "\n", encoding="utf-8", newline="\n")
 
 
-def write(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Block, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write gcp_list.txt of the control points and geo.txt of the images."""
     if given.frame == "local":
         raise ConfigurationError(
@@ -218,20 +219,27 @@ def write(folder: Path, given: Reconstruction, _: Choices | None = None) -> tupl
         )
     # A compound name has the heights' system behind a plus.
     crs = given.frame.split("+")[0]
-    names, xyz = given.point_names, given.xyz.tolist()
-    control = {names[j]: xyz[j] for j in given.of_role("control")}
-    rays = zip(given.image.tolist(), given.point.tolist(), given.pixels.tolist(), strict=True)
+    names, xyz = given.points.names, given.points.values.tolist()
+    control = {names[j]: xyz[j] for j in np.flatnonzero(given.points.of_role("control"))}
+    rays = zip(
+        given.observations.image.tolist(),
+        given.observations.point.tolist(),
+        given.observations.values.tolist(),
+        strict=True,
+    )
     marks = [
-        Mark(given.image_names[i], names[j], x, y, _SIGMA_PX, "")
+        Mark(given.images.names[i], names[j], x, y, _SIGMA_PX, "")
         for i, j, (x, y) in rays
         if names[j] in control
     ]
     if marks:
         write_gcp_list(folder / "gcp_list.txt", crs, control, marks)
-    to_camera = matrix_from_angles(given.poses[:, :3]) @ _to_map(crs, given.poses[:, 3], given.poses[:, 4])
-    sx, sy, sz = given.pose_sigma[:, 3:].T
-    known = np.column_stack([given.poses[:, 3:], angles_of_geo(to_camera), np.hypot(sx, sy), sz])
-    write_geo(folder / "geo.txt", crs, dict(zip(given.image_names, known.tolist(), strict=True)))
+    poses = given.images.values
+    to_camera = matrix_from_angles(poses[:, :3]) @ _to_map(crs, poses[:, 3], poses[:, 4])
+    sigma = given.images.sigma[:, 3:]
+    sx, sy, sz = np.where(np.isfinite(sigma), sigma, np.nan).T
+    known = np.column_stack([poses[:, 3:], angles_of_geo(to_camera), np.hypot(sx, sy), sz])
+    write_geo(folder / "geo.txt", crs, dict(zip(given.images.names, known.tolist(), strict=True)))
     return ()
 
 

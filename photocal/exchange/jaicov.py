@@ -19,9 +19,9 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block, Images, ObjectPoints
 from photocal.exchange import parts
+from photocal.exchange.exporting import Choices
 from photocal.exchange.foreign_project import ForeignProject
-from photocal.exchange.parts import Row, whole_numbers, write_rows
-from photocal.exchange.reconstruction import Choices, Reconstruction
+from photocal.exchange.parts import Row, known, of_cameras, whole_numbers, write_rows
 from photocal.exchange.source import (
     Line,
     image_size,
@@ -184,28 +184,28 @@ def _marks(lines: list[Line], images: set[str], points: set[str], sigma: float) 
     return marks
 
 
-def write(stem: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write(stem: Path, given: Block, choices: Choices) -> tuple[Conversion, ...]:
     """Write .ior, .eor, .obc and .phc files."""
     if any(camera.unit != "mm" for camera in given.cameras):
         raise InputMalformedError("JAICOV files have cameras in mm", "give the pixel pitch")
     made = tuple(converted(camera, "brown-ideal", "additive", _TERMS) for camera in given.cameras)
     cameras = whole_numbers([camera.id for camera in given.cameras])
-    images, points = whole_numbers(given.image_names), whole_numbers(given.point_names)
+    images, points = whole_numbers(given.images.names), whole_numbers(given.points.names)
     ior = [row for name, camera in zip(cameras, made, strict=True) for row in _interior(name, camera.camera)]
     write_rows(stem.with_suffix(".ior"), ior)
     eor: list[Row] = [
         [name, cameras[camera], *(pose[3:] / MM).tolist(), *pose[:3].tolist(), "0", "0", "3"]
-        for name, camera, pose in zip(images, given.image_camera.tolist(), given.poses, strict=True)
+        for name, camera, pose in zip(images, given.images.camera.tolist(), given.images.values, strict=True)
     ]
     write_rows(stem.with_suffix(".eor"), eor)
-    rays = np.bincount(given.point, minlength=len(points))
-    sigma = np.nan_to_num(given.xyz_sigma) / MM
+    rays = np.bincount(given.observations.point, minlength=len(points))
+    sigma = known(given.points.sigma) / MM
     obc: list[Row] = [
         [name, *(xyz / MM).tolist(), *s.tolist(), str(count), "1", "1", "0"]
-        for name, xyz, s, count in zip(points, given.xyz, sigma, rays, strict=True)
+        for name, xyz, s, count in zip(points, given.points.values, sigma, rays, strict=True)
     ]
     write_rows(stem.with_suffix(".obc"), obc)
-    write_rows(stem.with_suffix(".phc"), _mark_rows(given, images, points))
+    write_rows(stem.with_suffix(".phc"), _mark_rows(given, choices.residuals_of(given), images, points))
     return made
 
 
@@ -221,11 +221,11 @@ def _interior(name: str, camera: Camera) -> list[Row]:
     ]
 
 
-def _mark_rows(given: Reconstruction, images: list[str], points: list[str]) -> list[Row]:
-    pitch = given.of_rays("pitch")
-    plane = pixel_to_plane(given.of_rays("size_px"), pitch, given.pixels)
-    residuals = np.nan_to_num(given.residuals_px * pitch * [1.0, -1.0])
+def _mark_rows(given: Block, residuals_px: Floats, images: list[str], points: list[str]) -> list[Row]:
+    seen, pitch = given.observations, of_cameras(given, "pitch")
+    plane = pixel_to_plane(of_cameras(given, "size_px"), pitch, seen.values)
+    residuals = np.nan_to_num(residuals_px * pitch * [1.0, -1.0])
     return [
         [images[i], points[j], *xy.tolist(), 0.0, 0.0, *r.tolist(), "1", "1", "1"]
-        for i, j, xy, r in zip(given.image, given.point, plane, residuals, strict=True)
+        for i, j, xy, r in zip(seen.image, seen.point, plane, residuals, strict=True)
     ]

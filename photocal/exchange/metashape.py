@@ -9,20 +9,19 @@ files give fx, fy and cx, cy from the upper-left corner. Source: Metashape user 
 models".
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError
-from photocal.block.model import Block, Images, Role
+from photocal.block.model import ROLES, Block, Images, Role
+from photocal.exchange.exporting import Choices
 from photocal.exchange.foreign_project import ForeignProject
-from photocal.exchange.parts import UNKNOWN, PointEntry, block, distinct, object_points, pixels
+from photocal.exchange.parts import UNKNOWN, PointEntry, block, distinct, object_points, pixels, rays_of
 from photocal.exchange.pinhole import from_vision, require_credible, to_vision
-from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.rigs import of_metashape, slave_in_master
 from photocal.exchange.source import child, image_size, number, numbers, read_xml, write_xml
 from photocal.geometry.camera import Camera, camera
@@ -45,28 +44,17 @@ TERMS: dict[str, tuple[str, int, int]] = {
 }
 
 
-@dataclass(frozen=True)
-class Chunk:
-    """What a camera XML holds.
+def read_metashape(path: Path) -> ForeignProject:
+    """Read a camera XML.
 
-    block: cameras that are used, aligned images, markers as points and their projections as observations;
-        sigmas of markers are NaN where they are not given.
-    crs: the chunk's coordinate system; empty when local. Its orientations are geocentric otherwise.
-    position, position_sigma (images, 3): observed, in the chunk's system; NaN without.
+    returns: cameras that are used, aligned images, markers as points and their projections as observations;
+        sigmas of markers are NaN where they are not given. The block's frame is the chunk's coordinate
+        system; unless that is local, its orientations are geocentric. Positions are those of the references.
     """
-
-    block: Block
-    crs: str
-    position: Floats
-    position_sigma: Floats
-
-
-def read_metashape(path: Path) -> Chunk:
-    """Read a camera XML."""
     return chunk_of(read_xml(path), path)
 
 
-def chunk_of(root: Element, path: Path) -> Chunk:
+def chunk_of(root: Element, path: Path) -> ForeignProject:
     """Take the chunk out of a document; parameters and result as of `read_metashape`."""
     chunks = list(root.iter("chunk"))
     malformed = InputMalformedError.at(path)
@@ -104,16 +92,18 @@ def chunk_of(root: Element, path: Path) -> Chunk:
     which, whose = table[:, :2].astype(np.int64).T
     rays_seen = pixels(which, whose, table[:, 2:] - 0.5)
     points = object_points(listed.values())
-    given = Block(path.stem, "local", "", "control", tuple(sensors.values()), images, points, rays_seen)
     crs = (chunk.findtext("reference") or "").strip()
-    crs = "" if crs.startswith("LOCAL_CS") else crs
+    frame = "local" if not crs or crs.startswith("LOCAL_CS") else crs
+    given = Block(path.stem, frame, "", "control", tuple(sensors.values()), images, points, rays_seen)
     references = np.array([_reference(shot, path) for shot in shots], dtype=float).reshape(-1, 2, 3)
-    return Chunk(of_metashape(given, shots), crs, references[:, 0], references[:, 1])
+    positions, sigma = references[:, 0], references[:, 1]
+    return ForeignProject("Metashape", of_metashape(given, shots), positions, sigma, normalised=True)
 
 
-def local_chunk(chunk: Chunk) -> Chunk:
+def local_chunk(chunk: ForeignProject) -> ForeignProject:
     """Take a chunk in a reference system to east, north and up at its middle."""
-    if not chunk.crs:
+    crs = chunk.block.frame
+    if crs == "local":
         return chunk
     images, points = chunk.block.images, chunk.block.points
     known = np.vstack([points.values, chunk.position])
@@ -121,22 +111,23 @@ def local_chunk(chunk: Chunk) -> Chunk:
     if not len(known):
         raise InputMalformedError("has no coordinates in its system", "export markers or camera references")
     try:
-        parsed(chunk.crs)
+        parsed(crs)
     except ConfigurationError as refusal:
         raise InputMalformedError(
-            f"is in the coordinate system {chunk.crs[:60]!r}, which is not known",
+            f"is in the coordinate system {crs[:60]!r}, which is not known",
             "export the cameras of a chunk in local coordinates, or in a system with an EPSG code",
         ) from refusal
-    frame = ReferenceFrame(chunk.crs, known.mean(axis=0))
+    frame = ReferenceFrame(crs, known.mean(axis=0))
     origin, axes = frame.axes
     turned = angles_from_matrix(matrix_from_angles(images.values[:, :3]) @ axes.T)
     poses = np.hstack([turned, (images.values[:, 3:] - origin) @ axes.T])
     moved = replace(
         chunk.block,
+        frame="local",
         images=replace(images, values=poses),
         points=replace(points, values=frame.to_local(points.values)),
     )
-    return Chunk(moved, "", frame.to_local(chunk.position), chunk.position_sigma)
+    return replace(chunk, block=moved, position=frame.to_local(chunk.position))
 
 
 def _reference(shot: Element, path: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -260,14 +251,14 @@ def read(path: Path) -> ForeignProject:
     given = chunk.block
     made = block(path.stem, given.cameras, given.images, given.points, given.observations, [path])
     made = replace(made, heads=given.heads)
-    return project("Metashape", made, chunk, camera_sigma=_camera_sigmas(path, made))
+    return with_stated_positions(replace(chunk, block=made, camera_sigma=_camera_sigmas(path, made)))
 
 
-def project(program: str, given: Block, chunk: Chunk, **more: Any) -> ForeignProject:
-    """A project with the positions of a chunk; those whose accuracy is not said weigh nothing."""
+def with_stated_positions(chunk: ForeignProject) -> ForeignProject:
+    """Positions whose accuracy is not said weigh nothing: they are left out."""
     stated = (chunk.position_sigma > 0).all(axis=1, keepdims=True)
     position, sigma = (np.where(stated, values, np.nan) for values in (chunk.position, chunk.position_sigma))
-    return ForeignProject(program, given, position, sigma, normalised=True, **more)
+    return replace(chunk, position=position, position_sigma=sigma)
 
 
 def _camera_sigmas(path: Path, given: Block) -> dict[str, dict[str, float]]:
@@ -297,7 +288,7 @@ def detect(path: Path) -> bool:
     return root.tag == "document" and "dbat_script_version" not in root.attrib
 
 
-def write(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write(path: Path, given: Block, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write a camera XML in local coordinates, with the control and check points as markers."""
     root = Element("document", version="1.5.0")
     chunk = SubElement(root, "chunk", label="photocal", enabled="true")
@@ -313,14 +304,14 @@ def write(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[
             value = sign * written.value(name) * written.value("c") ** power
             if value or key in ("f", "cx", "cy"):
                 SubElement(calibration, key).text = repr(value)
-    rotation, translation = to_vision(given.poses)
-    shots = SubElement(chunk, "cameras", next_id=str(len(given.image_names)))
-    for k, name in enumerate(given.image_names):
+    rotation, translation = to_vision(given.images.values)
+    shots = SubElement(chunk, "cameras", next_id=str(len(given.images.names)))
+    for k, name in enumerate(given.images.names):
         matrix = np.eye(4)
         matrix[:3, :3] = rotation[k].T
         matrix[:3, 3] = -rotation[k].T @ translation[k]
         shot = SubElement(
-            shots, "camera", id=str(k), sensor_id=str(given.image_camera[k]), label=name, enabled="true"
+            shots, "camera", id=str(k), sensor_id=str(given.images.camera[k]), label=name, enabled="true"
         )
         SubElement(shot, "transform").text = " ".join(repr(value) for value in matrix.ravel().tolist())
     _write_markers(chunk, given)
@@ -342,20 +333,23 @@ def to_metashape(camera: Camera) -> Conversion:
     return converted(flat, "brown-ideal", "after", terms)
 
 
-def _write_markers(chunk: Element, given: Reconstruction) -> None:
-    surveyed, rays_of = given.of_role("control", "check"), given.rays_of_points
-    if not surveyed:
+def _write_markers(chunk: Element, given: Block) -> None:
+    points, seen_at = given.points, given.observations
+    surveyed, rays = np.flatnonzero(~points.of_role("tie")), rays_of(seen_at.point, len(points.names))
+    if not len(surveyed):
         return
     markers = SubElement(chunk, "markers", next_id=str(len(surveyed)))
     frame = SubElement(SubElement(chunk, "frames"), "frame", id="0")
     seen = SubElement(frame, "markers")
-    for key, k in enumerate(surveyed):
-        marker = SubElement(markers, "marker", id=str(key), label=given.point_names[k])
-        xyz = {axis: repr(value) for axis, value in zip("xyz", given.xyz[k].tolist(), strict=True)}
-        if np.isfinite(given.xyz_sigma[k]).all():
-            xyz |= {f"s{axis}": repr(s) for axis, s in zip("xyz", given.xyz_sigma[k].tolist(), strict=True)}
-        SubElement(marker, "reference", {**xyz, "enabled": str(given.roles[k] == "control").lower()})
-        rays = SubElement(seen, "marker", marker_id=str(key))
-        for ray in rays_of[k]:
-            x, y = (given.pixels[ray] + 0.5).tolist()
-            SubElement(rays, "location", camera_id=str(given.image[ray]), pinned="true", x=repr(x), y=repr(y))
+    for key, k in enumerate(surveyed.tolist()):
+        marker = SubElement(markers, "marker", id=str(key), label=points.names[k])
+        xyz = {axis: repr(value) for axis, value in zip("xyz", points.values[k].tolist(), strict=True)}
+        if np.isfinite(points.sigma[k]).all():
+            xyz |= {f"s{axis}": repr(s) for axis, s in zip("xyz", points.sigma[k].tolist(), strict=True)}
+        SubElement(marker, "reference", {**xyz, "enabled": str(ROLES[points.role[k]] == "control").lower()})
+        marks = SubElement(seen, "marker", marker_id=str(key))
+        for ray in rays[k]:
+            x, y = (seen_at.values[ray] + 0.5).tolist()
+            SubElement(
+                marks, "location", camera_id=str(seen_at.image[ray]), pinned="true", x=repr(x), y=repr(y)
+            )

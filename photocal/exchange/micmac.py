@@ -14,14 +14,14 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from photocal.base.arrays import Floats
+from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError, InputNotFoundError
-from photocal.block.model import Block, Images
+from photocal.block.model import Block, Images, ObjectPoints, Role
 from photocal.exchange import parts
+from photocal.exchange.exporting import Choices
 from photocal.exchange.foreign_project import ASSUMED_M, ForeignProject
-from photocal.exchange.parts import digits, require_file_name
+from photocal.exchange.parts import digits, known, rays_of, require_file_name
 from photocal.exchange.pinhole import from_vision, to_vision
-from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import (
     child,
     image_size,
@@ -204,23 +204,25 @@ def _distortion(given: Element, place: list[float], path: Path) -> dict[str, flo
     return values
 
 
-def write(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Block, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write a project."""
     made = tuple(converted(in_pixels(camera), "brown-ideal", "additive", TERMS) for camera in given.cameras)
-    for name in (*given.image_names, *(conversion.camera.id for conversion in made)):
+    for name in (*given.images.names, *(conversion.camera.id for conversion in made)):
         require_file_name(name)
     (folder / FOLDER).mkdir()
     for conversion in made:
         write_xml(folder / FOLDER / _calibration_name(conversion.camera), _calibration(conversion.camera))
-    rotation = to_vision(given.poses)[0]
-    ground = float(np.nanmedian(given.xyz[:, 2])) if len(given.xyz) else 0.0
-    for k, name in enumerate(given.image_names):
-        calibration = _calibration_name(given.cameras[given.image_camera[k]])
-        root = _orientation(rotation[k].T, given.poses[k, 3:], ground, f"{FOLDER}/{calibration}")
+    rotation = to_vision(given.images.values)[0]
+    ground = float(np.nanmedian(given.points.values[:, 2])) if len(given.points.values) else 0.0
+    for k, name in enumerate(given.images.names):
+        calibration = _calibration_name(given.cameras[given.images.camera[k]])
+        root = _orientation(rotation[k].T, given.images.values[k, 3:], ground, f"{FOLDER}/{calibration}")
         write_xml(folder / FOLDER / f"Orientation-{name}.xml", root)
-    for role, file in (("control", "Ground-Pts3D.xml"), ("check", CHECKS)):
-        if chosen := given.of_role(role):
-            write_xml(folder / file, _points(given, chosen))
+    files: tuple[tuple[Role, str], ...] = (("control", "Ground-Pts3D.xml"), ("check", CHECKS))
+    for role, file in files:
+        chosen = np.flatnonzero(given.points.of_role(role))
+        if len(chosen):
+            write_xml(folder / file, _points(given.points, chosen))
     write_xml(folder / "GroundMeasure.xml", _measures(given))
     return made
 
@@ -260,24 +262,25 @@ def _orientation(axes: Floats, centre: Floats, ground: float, calibration: str) 
     return root
 
 
-def _points(given: Reconstruction, chosen: list[int]) -> Element:
+def _points(points: ObjectPoints, chosen: Integers) -> Element:
     root = Element("DicoAppuisFlottant")
     for j in chosen:
-        point, sigma = SubElement(root, "OneAppuisDAF"), digits(np.nan_to_num(given.xyz_sigma[j]))
-        _leaves(point, ("Pt", digits(given.xyz[j])), ("NamePt", given.point_names[j]), ("Incertitude", sigma))
+        point, sigma = SubElement(root, "OneAppuisDAF"), digits(known(points.sigma[j]))
+        _leaves(point, ("Pt", digits(points.values[j])), ("NamePt", points.names[j]), ("Incertitude", sigma))
     return root
 
 
-def _measures(given: Reconstruction) -> Element:
+def _measures(given: Block) -> Element:
     root = Element("SetOfMesureAppuisFlottants")
-    for name, rays in zip(given.image_names, given.rays_of_images, strict=True):
+    rays_of_images = rays_of(given.observations.image, len(given.images.names))
+    for name, rays in zip(given.images.names, rays_of_images, strict=True):
         if len(rays):
             image = SubElement(root, "MesureAppuiFlottant1Im")
             SubElement(image, "NameIm").text = name
             for ray in rays:
                 mark = SubElement(image, "OneMesureAF1I")
-                point = given.point_names[given.point[ray]]
-                _leaves(mark, ("NamePt", point), ("PtIm", digits(given.pixels[ray])))
+                point = given.points.names[given.observations.point[ray]]
+                _leaves(mark, ("NamePt", point), ("PtIm", digits(given.observations.values[ray])))
     return root
 
 

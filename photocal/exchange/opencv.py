@@ -15,11 +15,11 @@ import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import InputMalformedError
-from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Images
+from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, Images
+from photocal.exchange.exporting import Choices, file_name
 from photocal.exchange.foreign_project import ForeignProject
 from photocal.exchange.parts import block
 from photocal.exchange.pinhole import Pinhole, from_pinhole, to_pinhole
-from photocal.exchange.reconstruction import Choices, Reconstruction, file_name
 from photocal.exchange.source import image_size, number, read_json, read_text, structured
 from photocal.geometry.camera import MODELS, Camera, Model, among
 from photocal.geometry.conversion import Conversion
@@ -112,7 +112,7 @@ def _matrix(entries: dict[str, str], names: tuple[str, ...], path: Path) -> Floa
     return np.array([number(cell, path, name) for cell in cells]).reshape(shape)
 
 
-def write(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Block, _: Choices) -> tuple[Conversion, ...]:
     """A YAML file for each camera."""
     return tuple(write_opencv(folder / f"{file_name(camera.id)}.yml", camera) for camera in given.cameras)
 

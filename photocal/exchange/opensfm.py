@@ -19,10 +19,10 @@ from scipy.spatial.transform import Rotation
 
 from photocal.base.errors import InputMalformedError
 from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, Images, ObjectPoints
+from photocal.exchange.exporting import Choices
 from photocal.exchange.foreign_project import ForeignProject
-from photocal.exchange.parts import block, pixels, utm_zone_of
+from photocal.exchange.parts import block, of_cameras, pixels, utm_zone_of
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, to_pinhole, to_vision
-from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.rigs import of_opensfm
 from photocal.exchange.source import image_size, number, read_json, read_lines, structured
 from photocal.geometry.camera import Camera
@@ -136,24 +136,24 @@ def _with_tracks(given: Block, path: Path) -> Block:
     return replace(given, observations=pixels(which, table[:, 1].astype(np.int64), values))
 
 
-def write(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Block, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write cameras.json, reconstruction.json and tracks.csv."""
     made = [
         to_pinhole(camera, "OpenSfM", {"equidistant": ("K1", "K2", "K3", "K4")}) for camera in given.cameras
     ]
     names = [camera.id for camera in given.cameras]
     cameras = {name: _keys(pinhole) for name, (pinhole, _) in zip(names, made, strict=True)}
-    rotation, translation = to_vision(given.poses)
+    rotation, translation = to_vision(given.images.values)
     turns = Rotation.from_matrix(rotation).as_rotvec()
     shots = {
         name: {"rotation": turn, "translation": shift, "camera": names[which]}
         for name, turn, shift, which in zip(
-            given.image_names, turns.tolist(), translation.tolist(), given.image_camera, strict=True
+            given.images.names, turns.tolist(), translation.tolist(), given.images.camera, strict=True
         )
     }
     points = {
         name: {"color": [128, 128, 128], "coordinates": xyz}
-        for name, xyz in zip(given.point_names, given.xyz.tolist(), strict=True)
+        for name, xyz in zip(given.points.names, given.points.values.tolist(), strict=True)
     }
     whole = [{"cameras": cameras, "shots": shots, "points": points}]
     (folder / "cameras.json").write_text(json.dumps(cameras, indent=1, allow_nan=False), encoding="utf-8")
@@ -162,16 +162,15 @@ def write(folder: Path, given: Reconstruction, _: Choices | None = None) -> tupl
     return tuple(conversion for _, conversion in made)
 
 
-def _write_tracks(path: Path, given: Reconstruction) -> None:
-    size = given.of_rays("size_px")
-    normalised = (given.pixels + 0.5 - size / 2) / size.max(axis=1, keepdims=True)
-    count = np.zeros(len(given.image_names), dtype=np.int64)
+def _write_tracks(path: Path, given: Block) -> None:
+    seen, size = given.observations, of_cameras(given, "size_px")
+    normalised = (seen.values + 0.5 - size / 2) / size.max(axis=1, keepdims=True)
+    count = np.zeros(len(given.images.names), dtype=np.int64)
     with path.open("w", encoding="utf-8", newline="\n") as out:
         out.write("OPENSFM_TRACKS_VERSION_v2\n")
-        for image, point, (x, y) in zip(
-            given.image.tolist(), given.point.tolist(), normalised.tolist(), strict=True
-        ):
-            row = [given.image_names[image], given.point_names[point], count[image], repr(x), repr(y)]
+        rays = zip(seen.image.tolist(), seen.point.tolist(), normalised.tolist(), strict=True)
+        for image, point, (x, y) in rays:
+            row = [given.images.names[image], given.points.names[point], count[image], repr(x), repr(y)]
             out.write("\t".join(str(cell) for cell in [*row, 0.001, 128, 128, 128, -1, -1]) + "\n")
             count[image] += 1
 

@@ -12,7 +12,6 @@ coordinates; tie points of a glTF point cloud are not read. Source: OPF specific
 
 import uuid
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
@@ -23,10 +22,10 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import InputMalformedError
 from photocal.base.files import write_json
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Role
+from photocal.exchange.exporting import Choices
 from photocal.exchange.foreign_project import ForeignProject
-from photocal.exchange.parts import block, pixels, require_unique
+from photocal.exchange.parts import block, known, pixels, rays_of, require_unique
 from photocal.exchange.pinhole import LARGEST, Pinhole, from_pinhole, require_one_focal_length, to_pinhole
-from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import beside, image_size, read_json, structured
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion
@@ -63,28 +62,6 @@ def format_name(kind: str) -> str:
     return f"application/opf-{kind}+json"
 
 
-@dataclass(frozen=True)
-class _Resources:
-    """The files of a project by their kind."""
-
-    path: Path
-    files: dict[str, Path]
-
-    def load(self, kind: str) -> dict[str, Any]:
-        """Read the file of a kind that the project names."""
-        if kind not in self.files:
-            raise InputMalformedError(
-                f"names no {kind.replace('-', ' ')}", "export a calibrated project", where=self.path
-            )
-        content: dict[str, Any] = read_json(self.files[kind])
-        if content["format"] != format_name(kind):
-            raise InputMalformedError(
-                f"is {content['format']!r}, not {format_name(kind)!r}", where=self.files[kind]
-            )
-        _require_version(content, self.files[kind])
-        return content
-
-
 def read(path: Path) -> ForeignProject:
     """Read a calibrated project."""
     given = structured(path, "an OPF project", lambda: _read(path))
@@ -93,12 +70,12 @@ def read(path: Path) -> ForeignProject:
 
 def _read(path: Path) -> Block:
     resources = _resources(path)
-    inputs, calibrated = resources.load("input-cameras"), resources.load("calibrated-cameras")
-    cameras = dict(_cameras(inputs, calibrated, resources.files["calibrated-cameras"]))
-    uris = {int(row["id"]): unquote(row["uri"]) for row in resources.load("camera-list")["cameras"]}
+    inputs, calibrated = _load(resources, "input-cameras"), _load(resources, "calibrated-cameras")
+    where = resources["calibrated-cameras"]
+    cameras = dict(_cameras(inputs, calibrated, where))
+    uris = {int(row["id"]): unquote(row["uri"]) for row in _load(resources, "camera-list")["cameras"]}
     files = {key: uri.replace("\\", "/").rsplit("/", 1)[-1] for key, uri in uris.items()}
     shots = calibrated["cameras"]
-    where = resources.files["calibrated-cameras"]
     lost = [int(shot["id"]) for shot in shots if int(shot["id"]) not in files]
     strange = [int(shot["sensor_id"]) for shot in shots if int(shot["sensor_id"]) not in cameras]
     if lost or strange:
@@ -134,22 +111,36 @@ def _read(path: Path) -> Block:
         Images(names, which, poses),
         ObjectPoints(points, xyz, sigma, role),
         pixels(image, point, table[:, 2:] - HALF),
-        [path, *resources.files.values()],
+        list(resources.values()),
     )
 
 
-def _resources(path: Path) -> _Resources:
+def _resources(path: Path) -> dict[str, Path]:
+    """Find the files that a project names, by their kind; its own stands among them."""
     project = read_json(path)
     if project["format"] != format_name("project"):
         raise InputMalformedError("is not an OPF project", "name the file project.opf", where=path)
     _require_version(project, path)
-    files: dict[str, Path] = {}
+    files = {"project": path}
     for item in project["items"]:
         for resource in item["resources"]:
             kind = resource["format"].removeprefix("application/opf-").removesuffix("+json")
             if format_name(kind) == resource["format"] and kind not in files:
                 files[kind] = beside(path.parent, unquote(resource["uri"]), path)
-    return _Resources(path, files)
+    return files
+
+
+def _load(files: dict[str, Path], kind: str) -> dict[str, Any]:
+    """Read the file of a kind that the project names."""
+    if kind not in files:
+        raise InputMalformedError(
+            f"names no {kind.replace('-', ' ')}", "export a calibrated project", where=files["project"]
+        )
+    content: dict[str, Any] = read_json(files[kind])
+    if content["format"] != format_name(kind):
+        raise InputMalformedError(f"is {content['format']!r}, not {format_name(kind)!r}", where=files[kind])
+    _require_version(content, files[kind])
+    return content
 
 
 def _require_version(content: dict[str, Any], path: Path) -> None:
@@ -180,18 +171,18 @@ def _cameras(inputs: dict[str, Any], calibrated: dict[str, Any], path: Path) -> 
 
 
 def _control_points(
-    resources: _Resources, images: dict[int, int]
+    resources: dict[str, Path], images: dict[int, int]
 ) -> tuple[tuple[str, ...], tuple[Role, ...], list[tuple[int, int, float, float]]]:
     """Names and roles of the control points, and where they are seen."""
-    if "input-control-points" not in resources.files:
+    if "input-control-points" not in resources:
         return (), (), []
-    given = resources.load("input-control-points")
+    given = _load(resources, "input-control-points")
     points: list[tuple[dict[str, Any], Role]] = [
         (point, "check" if point["is_checkpoint"] else "control") for point in given["gcps"]
     ]
     points += [(point, "tie") for point in given["mtps"]]
     names = tuple(str(point["id"]) for point, _ in points)
-    require_unique(names, "control point", resources.files["input-control-points"])
+    require_unique(names, "control point", resources["input-control-points"])
     rays = []
     for j, (point, _) in enumerate(points):
         for mark in point["marks"]:
@@ -201,7 +192,7 @@ def _control_points(
     return names, tuple(role for _, role in points), rays
 
 
-def _coordinates(resources: _Resources, names: tuple[str, ...]) -> tuple[Floats, Floats]:
+def _coordinates(resources: dict[str, Path], names: tuple[str, ...]) -> tuple[Floats, Floats]:
     """Coordinates, calibrated before surveyed, and standard deviations; NaN when not given."""
     position = {name: j for j, name in enumerate(names)}
     xyz, sigma = np.full((len(names), 3), np.nan), np.full((len(names), 3), np.nan)
@@ -209,7 +200,7 @@ def _coordinates(resources: _Resources, names: tuple[str, ...]) -> tuple[Floats,
         ("projected-control-points", "projected_gcps"),
         ("calibrated-control-points", "points"),
     ):
-        rows = resources.load(kind)[key] if kind in resources.files else []
+        rows = _load(resources, kind)[key] if kind in resources else []
         rows = [row for row in rows if row["id"] in position]
         index = [position[row["id"]] for row in rows]
         xyz[index] = _triples([row["coordinates"] for row in rows])
@@ -222,7 +213,7 @@ def _triples(rows: list[Any]) -> Floats:
     return np.array([[float(value) for value in row] for row in rows], dtype=float).reshape(-1, 3)
 
 
-def write(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Block, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write project.opf and the files that it names."""
     made = [to_pinhole(camera, "OPF") for camera in given.cameras]
     pinholes = [pinhole for pinhole, _ in made]
@@ -238,14 +229,15 @@ def write(folder: Path, given: Reconstruction, _: Choices | None = None) -> tupl
         "input-control-points": _input_points(given),
         "projected-control-points": {
             "projected_gcps": [
-                {"id": given.point_names[j], **_place(given, j)} for j in given.of_role("control", "check")
+                {"id": given.points.names[j], **_place(given.points, j)}
+                for j in np.flatnonzero(~given.points.of_role("tie")).tolist()
             ]
         },
         "calibrated-cameras": _calibrated(given, pinholes),
         "calibrated-control-points": {
             "points": [
                 {"id": name, "coordinates": xyz}
-                for name, xyz in zip(given.point_names, given.xyz.tolist(), strict=True)
+                for name, xyz in zip(given.points.names, given.points.values.tolist(), strict=True)
             ]
         },
     }
@@ -255,7 +247,7 @@ def write(folder: Path, given: Reconstruction, _: Choices | None = None) -> tupl
     return tuple(conversion for _, conversion in made)
 
 
-def _project(given: Reconstruction) -> dict[str, Any]:
+def _project(given: Block) -> dict[str, Any]:
     ids = {kind: str(uuid.uuid5(_SPACE, f"{given.name}/{kind}")) for kind, _, _ in _ITEMS}
     items = [
         {
@@ -277,13 +269,13 @@ def _project(given: Reconstruction) -> dict[str, Any]:
     }
 
 
-def _images(given: Reconstruction) -> Iterable[tuple[int, str]]:
-    return enumerate(given.image_names, start=1)
+def _images(given: Block) -> Iterable[tuple[int, str]]:
+    return enumerate(given.images.names, start=1)
 
 
-def _sensor_id(given: Reconstruction, k: int) -> int:
+def _sensor_id(given: Block, k: int) -> int:
     """Sensors are numbered behind the images."""
-    return len(given.image_names) + 1 + k
+    return len(given.images.names) + 1 + k
 
 
 def _internals(pinhole: Pinhole) -> dict[str, Any]:
@@ -296,7 +288,7 @@ def _internals(pinhole: Pinhole) -> dict[str, Any]:
     }
 
 
-def _sensors(given: Reconstruction, pinholes: list[Pinhole]) -> list[dict[str, Any]]:
+def _sensors(given: Block, pinholes: list[Pinhole]) -> list[dict[str, Any]]:
     return [
         {
             "id": _sensor_id(given, k),
@@ -311,7 +303,7 @@ def _sensors(given: Reconstruction, pinholes: list[Pinhole]) -> list[dict[str, A
     ]
 
 
-def _captures(given: Reconstruction) -> list[dict[str, Any]]:
+def _captures(given: Block) -> list[dict[str, Any]]:
     first = _sensor_id(given, len(given.cameras))
     return [
         {
@@ -322,7 +314,7 @@ def _captures(given: Reconstruction) -> list[dict[str, Any]]:
             "cameras": [
                 {
                     "id": k,
-                    "sensor_id": _sensor_id(given, int(given.image_camera[k - 1])),
+                    "sensor_id": _sensor_id(given, int(given.images.camera[k - 1])),
                     "model_source": "user",
                     "pixel_range": {"min": 0, "max": 255},
                     "pixel_type": "uint8",
@@ -333,33 +325,34 @@ def _captures(given: Reconstruction) -> list[dict[str, Any]]:
     ]
 
 
-def _input_points(given: Reconstruction) -> dict[str, Any]:
-    roles = given.roles or ("tie",) * len(given.point_names)
+def _input_points(given: Block) -> dict[str, Any]:
+    points, seen = given.points, given.observations
     surveyed, others = [], []
-    for j, (name, role, rays) in enumerate(zip(given.point_names, roles, given.rays_of_points, strict=True)):
+    for j, rays in enumerate(rays_of(seen.point, len(points.names))):
         marks = [
-            {"camera_id": int(given.image[ray]) + 1, "position_px": pixel, "accuracy": 1.0}
-            for ray, pixel in zip(rays, (given.pixels[rays] + HALF).tolist(), strict=True)
+            {"camera_id": int(seen.image[ray]) + 1, "position_px": pixel, "accuracy": 1.0}
+            for ray, pixel in zip(rays, (seen.values[rays] + HALF).tolist(), strict=True)
         ]
-        point = {"id": name, "marks": marks, "is_checkpoint": role == "check"}
+        role = ROLES[points.role[j]]
+        point = {"id": points.names[j], "marks": marks, "is_checkpoint": role == "check"}
         if role == "tie":
             others.append(point)
         else:
-            surveyed.append({**point, "geolocation": {"crs": {"definition": LOCAL_CRS}, **_place(given, j)}})
+            surveyed.append({**point, "geolocation": {"crs": {"definition": LOCAL_CRS}, **_place(points, j)}})
     return {"gcps": surveyed, "mtps": others}
 
 
-def _place(given: Reconstruction, j: int) -> dict[str, list[float]]:
+def _place(points: ObjectPoints, j: int) -> dict[str, list[float]]:
     """Coordinates and standard deviations; a sigma that is not known is 0."""
-    return {"coordinates": given.xyz[j].tolist(), "sigmas": np.nan_to_num(given.xyz_sigma[j]).tolist()}
+    return {"coordinates": points.values[j].tolist(), "sigmas": known(points.sigma[j]).tolist()}
 
 
-def _calibrated(given: Reconstruction, pinholes: list[Pinhole]) -> dict[str, Any]:
-    angles = np.degrees(given.poses[:, :3]).tolist()
+def _calibrated(given: Block, pinholes: list[Pinhole]) -> dict[str, Any]:
+    angles = np.degrees(given.images.values[:, :3]).tolist()
     cameras = [
         {"id": k + 1, "sensor_id": _sensor_id(given, sensor), "orientation_deg": angles[k], "position": place}
         for k, (sensor, place) in enumerate(
-            zip(given.image_camera.tolist(), given.poses[:, 3:].tolist(), strict=True)
+            zip(given.images.camera.tolist(), given.images.values[:, 3:].tolist(), strict=True)
         )
     ]
     sensors = [

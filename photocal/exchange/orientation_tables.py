@@ -14,10 +14,10 @@ import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError
-from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Images
+from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, Images
+from photocal.exchange.exporting import Angle, Choices
 from photocal.exchange.foreign_project import ForeignProject
 from photocal.exchange.parts import block, digits, poses_of_matrices, require_no_blanks, require_unique
-from photocal.exchange.reconstruction import Angle, Choices, Reconstruction
 from photocal.exchange.source import Line, numbers, read_lines
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion, apart_px
@@ -60,16 +60,19 @@ def _write(path: Path, head: str, names: Sequence[str], values: Floats) -> None:
     path.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8", newline="\n")
 
 
-def write_patb(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+def write_patb(folder: Path, given: Block, choices: Choices) -> tuple[Conversion, ...]:
     """A table of angles and one of rotation matrices."""
     if choices.angle_unit is None:
         raise ConfigurationError(
             "the unit of the angles is not given", "name it: --angle-unit deg or --angle-unit gon"
         )
     write_angles(
-        folder / f"orientations_{choices.angle_unit}.txt", given.image_names, given.poses, choices.angle_unit
+        folder / f"orientations_{choices.angle_unit}.txt",
+        given.images.names,
+        given.images.values,
+        choices.angle_unit,
     )
-    write_matrices(folder / "orientations_matrix.txt", given.image_names, given.poses)
+    write_matrices(folder / "orientations_matrix.txt", given.images.names, given.images.values)
     return ()
 
 
@@ -109,7 +112,7 @@ def read_inpho(path: Path) -> ForeignProject:
     )
 
 
-def write_inpho(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write_inpho(path: Path, given: Block, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write cameras and photos of a project."""
     for camera in given.cameras:
         if camera.unit != "mm":
@@ -119,9 +122,9 @@ def write_inpho(path: Path, given: Reconstruction, _: Choices | None = None) -> 
             )
     made = tuple(_without_distortion(camera) for camera in given.cameras)
     blocks = [_camera(camera) for camera in given.cameras]
-    rotation = matrix_from_angles(given.poses[:, :3])
+    rotation = matrix_from_angles(given.images.values[:, :3])
     for name, which, pose, matrix in zip(
-        given.image_names, given.image_camera, given.poses, rotation, strict=True
+        given.images.names, given.images.camera, given.images.values, rotation, strict=True
     ):
         camera = given.cameras[which]
         rows = [digits([camera.value("c"), *pose[3:]]), *(digits(row) for row in matrix)]

@@ -162,6 +162,23 @@ def block_of_marks(
     return block(name, cameras, images, object_points(entries), seen, files, datum="control")
 
 
+def rays_of(group: Integers, count: int) -> list[Integers]:
+    """Rays of each image, or of each point, in their order; `group` (rays,) says which."""
+    order = np.argsort(group, kind="stable")
+    return np.split(order, np.searchsorted(group[order], np.arange(1, count))) if count else []
+
+
+def of_cameras(given: Block, name: Literal["size_px", "pitch"]) -> Floats:
+    """What the camera of each ray has, x and y, shape (rays, 2)."""
+    each = np.array([getattr(camera, name) for camera in given.cameras], dtype=float).reshape(-1, 2)
+    return np.asarray(each[given.images.camera[given.observations.image]])
+
+
+def known(sigma: Floats) -> Floats:
+    """Standard deviations as files have them: 0 for what has none."""
+    return np.where(np.isfinite(sigma), sigma, 0.0)
+
+
 def require_seen_once(
     seen: Observations, images: Sequence[str], points: Sequence[str], place: object
 ) -> None:

@@ -19,9 +19,9 @@ from photocal.base.errors import ConfigurationError, InputMalformedError, Photoc
 from photocal.block.model import Block, Images
 from photocal.exchange import parts
 from photocal.exchange.dbat_camera import read_rows, to_column_row
+from photocal.exchange.exporting import Choices
 from photocal.exchange.foreign_project import ForeignProject
-from photocal.exchange.parts import digits, require_file_name, whole_numbers, write_rows
-from photocal.exchange.reconstruction import Choices, Reconstruction
+from photocal.exchange.parts import digits, known, require_file_name, whole_numbers, write_rows
 from photocal.exchange.source import Line, image_size, numbers, read_lines, read_text
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.conversion import Conversion, converted
@@ -278,7 +278,7 @@ def _camera(export: Export, interior: tuple[float, ...], name: str, place: Path)
     return replace(calibrated, distortion_at="measured")
 
 
-def write(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write(path: Path, given: Block, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write an export, and `NAME-control.txt` beside it where there is control."""
     sizes = {camera.size_px for camera in given.cameras}
     if len(sizes) != 1 or any(camera.unit != "mm" for camera in given.cameras):
@@ -286,15 +286,15 @@ def write(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[
             "a PhotoModeler export has images of one size, and cameras in mm",
             "give the pixel pitch, and export cameras of other sizes apart",
         )
-    for name in given.image_names:
+    for name in given.images.names:
         require_file_name(name)
     made = tuple(_converted(camera) for camera in given.cameras)
     interiors = [_interior(conversion.camera) for conversion in made]
-    numbers = whole_numbers(given.point_names)
+    numbers = whole_numbers(given.points.names)
     order = sorted(range(len(numbers)), key=lambda j: int(numbers[j]))
-    sigma = np.nan_to_num(given.xyz_sigma)
-    rows = {j: f"{numbers[j]} {digits([*given.xyz[j], *sigma[j]])}" for j in order}
-    control = set(given.of_role("control"))
+    sigma = known(given.points.sigma)
+    rows = {j: f"{numbers[j]} {digits([*given.points.values[j], *sigma[j]])}" for j in order}
+    control = set(np.flatnonzero(given.points.of_role("control")).tolist())
     surveyed = [j for j in order if j in control]
     width, height = sizes.pop()
     lines = [
@@ -304,17 +304,17 @@ def write(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[
         digits(interiors[0]),
         digits([0.0] * 10),
     ]
-    for k, name in enumerate(given.image_names):
-        lines += _photo_lines(k, name, given, interiors[int(given.image_camera[k])])
-    marks = []
-    for ray in np.argsort(given.image, kind="stable"):
-        x, y = (given.pixels[ray] + 0.5).tolist()
-        marks.append(f"{given.image[ray]} {numbers[given.point[ray]]} {x!r} {y!r} 1.0 1.0")
+    for k, name in enumerate(given.images.names):
+        lines += _photo_lines(k, name, given, interiors[int(given.images.camera[k])])
+    marks, seen = [], given.observations
+    for ray in np.argsort(seen.image, kind="stable"):
+        x, y = (seen.values[ray] + 0.5).tolist()
+        marks.append(f"{seen.image[ray]} {numbers[seen.point[ray]]} {x!r} {y!r} 1.0 1.0")
     # Every section ends with a blank line.
     lines += ["", *(rows[j] for j in surveyed), "", *rows.values(), "", *marks, "", ""]
     path.write_text("\n".join(lines), encoding="utf-8", newline="\n")
     if control:
-        cells = [[numbers[j], numbers[j], *given.xyz[j], *sigma[j]] for j in surveyed]
+        cells = [[numbers[j], numbers[j], *given.points.values[j], *sigma[j]] for j in surveyed]
         write_rows(control_beside(path), cells, ", ")
     return made
 
@@ -338,9 +338,9 @@ def _interior(camera: Camera) -> list[float]:
     return [camera.value("c"), *point, width, height, *terms]
 
 
-def _photo_lines(k: int, name: str, given: Reconstruction, interior: Sequence[float]) -> list[str]:
+def _photo_lines(k: int, name: str, given: Block, interior: Sequence[float]) -> list[str]:
     pose, spread = (
-        [*v[3:], *np.degrees(v[2::-1])] for v in (given.poses[k], np.nan_to_num(given.pose_sigma[k]))
+        [*v[3:], *np.degrees(v[2::-1])] for v in (given.images.values[k], known(given.images.sigma[k]))
     )
     return [
         f"{k} {name}",

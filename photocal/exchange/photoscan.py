@@ -21,15 +21,14 @@ from numpy.typing import NDArray
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import InputMalformedError
-from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, ObjectPoints, Observations
+from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, ObjectPoints, Observations
 from photocal.exchange.foreign_project import ForeignProject
 from photocal.exchange.metashape import (
-    Chunk,
     chunk_of,
     chunk_transform,
     image_names,
     local_chunk,
-    project,
+    with_stated_positions,
 )
 from photocal.exchange.parts import block, pixels, require_seen_once, require_unique
 from photocal.exchange.source import MAX_XML_BYTES, child, number, parse_xml, require_readable
@@ -54,25 +53,20 @@ _ARCHIVE_FAILURES = (
 
 def read(path: Path) -> ForeignProject:
     """Read a project with one chunk."""
-    program = "Metashape" if path.suffix.lower() == ".psx" else "PhotoScan"
-    return project(program, *read_project(path), weighted=True)
-
-
-def read_project(path: Path) -> tuple[Block, Chunk]:
-    """Read a project with one chunk: its block, and the chunk with the positions of its images."""
     require_readable(path)
     try:
         if path.suffix.lower() == ".psx":
             return _of_parts(path)
         with zipfile.ZipFile(path) as archive:
-            return _block(archive, parse_xml(_member(archive, "doc.xml", path, MAX_XML_BYTES), path), path)
+            root = parse_xml(_member(archive, "doc.xml", path, MAX_XML_BYTES), path)
+            return replace(_project(archive, root, path), program="PhotoScan")
     except _ARCHIVE_FAILURES as failure:
         raise InputMalformedError(
             f"is not a readable archive ({failure})", "was it written completely?", where=path
         ) from failure
 
 
-def _of_parts(path: Path) -> tuple[Block, Chunk]:
+def _of_parts(path: Path) -> ForeignProject:
     """Put the archives of a project together: each names those below it by `path`."""
     folder = path.with_suffix(".files")
 
@@ -108,10 +102,10 @@ def _of_parts(path: Path) -> tuple[Block, Chunk]:
         frame.remove(cloud)
         frame.append(part(points))
     with zipfile.ZipFile(points) as archive:
-        return _block(archive, root, path)
+        return _project(archive, root, path)
 
 
-def _block(archive: zipfile.ZipFile, root: Element, path: Path) -> tuple[Block, Chunk]:
+def _project(archive: zipfile.ZipFile, root: Element, path: Path) -> ForeignProject:
     given_chunk = chunk_of(root, path)
     chunk = local_chunk(given_chunk)
     element = child(root, "chunks/chunk", path)
@@ -125,7 +119,7 @@ def _block(archive: zipfile.ZipFile, root: Element, path: Path) -> tuple[Block, 
     seen = pixels(marks.image, marks.point, marks.values, sigma)
     points = _with_sigmas(given.points, settings, path)
     # Geocentric ones are left to their rays.
-    to_world = None if given_chunk.crs else chunk_transform(element, path)
+    to_world = chunk_transform(element, path) if given_chunk.block.frame == "local" else None
     ties, rays = _ties(archive, element, given.images.names, to_world, path)
     rays = pixels(
         rays.image,
@@ -140,7 +134,8 @@ def _block(archive: zipfile.ZipFile, root: Element, path: Path) -> tuple[Block, 
     made = block(path.stem, given.cameras, given.images, points, seen, [path])
     common = settings.get("accuracy_cameras", np.nan)
     sigma_m = np.where(np.isnan(chunk.position_sigma), common, chunk.position_sigma)
-    return replace(made, heads=given.heads), replace(chunk, position_sigma=sigma_m)
+    whole = replace(chunk, block=replace(made, heads=given.heads), position_sigma=sigma_m, weighted=True)
+    return with_stated_positions(whole)
 
 
 def _with_sigmas(markers: ObjectPoints, settings: dict[str, float], path: Path) -> ObjectPoints:

@@ -18,7 +18,7 @@ same name without "pix4d" is Inpho's: it has no distortion, and is not read.
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 
@@ -26,12 +26,12 @@ import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import InputMalformedError, InputNotFoundError
-from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Images
+from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, Images
 from photocal.exchange.bingo import in_order, read_bingo
+from photocal.exchange.exporting import Choices, file_name
 from photocal.exchange.foreign_project import ASSUMED_M, ForeignProject, without_weak_points
-from photocal.exchange.parts import PointEntry, block, distinct, object_points, output_system, pixels
+from photocal.exchange.parts import PointEntry, block, distinct, object_points, output_system
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, require_one_focal_length, to_pinhole
-from photocal.exchange.reconstruction import Choices, Reconstruction, file_name
 from photocal.exchange.rigs import of_poses
 from photocal.exchange.source import Line, decimal_comma, image_size, number, numbers, read_lines
 from photocal.geometry.camera import Camera
@@ -83,7 +83,7 @@ def write_pix4d(path: Path, camera: Camera) -> Conversion:
     return conversion
 
 
-def write(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Block, _: Choices) -> tuple[Conversion, ...]:
     """A .cam file for each camera."""
     name = "_pix4d_calibrated_internal_camera_parameters.cam"
     return tuple(write_pix4d(folder / (file_name(camera.id) + name), camera) for camera in given.cameras)
@@ -109,8 +109,8 @@ def read(path: Path) -> ForeignProject:
     poses[:, 3:] += offset
     _require_on_earth(zip(image_names, poses[:, 3:].tolist(), strict=True), "image", path)
     heads, exposure = of_poses(cameras, np.array(member), poses)
-    ground = _ground(folder)
-    control, remarks = ground.control, [*offset_told, *ground.remarks]
+    control, manual, adjusted, ground_told = _ground(folder)
+    remarks = [*offset_told, *ground_told]
     _require_on_earth(((name, xyz) for name, (xyz, _) in control.items()), "control point", folder)
     # Images see no farther, m.
     most_m = 5e4
@@ -122,18 +122,15 @@ def read(path: Path) -> ForeignProject:
             f"copy it, or ..._{EXTERNAL}, from the project",
             where=folder,
         )
-    seen = read_bingo(bingo, image_names, member, cameras, ground.manual.union(control))
-    if seen.unknown:
-        remarks.append(f"{seen.unknown} images of {bingo.name} are not calibrated: left out")
-    if seen.outside:
-        remarks.append(f"{seen.outside} rays of {bingo.name} lie outside their images: left out")
-    points = sorted(seen.names)
+    seen_names, seen, left_out = read_bingo(bingo, image_names, member, cameras, manual.union(control))
+    remarks += left_out
+    points = sorted(seen_names)
     entries = [
         PointEntry(name, "control", *control[name]) if name in control else PointEntry(name)
         for name in points
     ]
     place = np.empty(len(points), dtype=np.int64)
-    place[sorted(range(len(points)), key=seen.names.__getitem__)] = np.arange(len(points))
+    place[sorted(range(len(points)), key=seen_names.__getitem__)] = np.arange(len(points))
     frame, height, told = output_system(file_of(folder, "wkt.prj"), poses[:, 3:])
     remarks += told
     given, weak = without_weak_points(
@@ -142,7 +139,7 @@ def read(path: Path) -> ForeignProject:
             cameras,
             Images(tuple(distinct(image_names)), np.array(member, dtype=np.int64), poses, exposure=exposure),
             object_points(entries),
-            pixels(seen.image, place[seen.point], seen.xy),
+            replace(seen, point=place[seen.point]),
             [path, bingo],
         )
     )
@@ -172,7 +169,7 @@ def read(path: Path) -> ForeignProject:
         )
         position, sigma = np.full_like(position, np.nan), np.full_like(sigma, np.nan)
     return ForeignProject(
-        "Pix4D", given, position, sigma, pose_sigma, ground.adjusted, remarks=tuple(remarks), normalised=True
+        "Pix4D", given, position, sigma, pose_sigma, adjusted, remarks=tuple(remarks), normalised=True
     )
 
 
@@ -303,23 +300,16 @@ def _value(cell: str) -> float:
         return float("nan")
 
 
-@dataclass(frozen=True)
-class _Ground:
+# Surveyed coordinates of a point and their sigmas, m.
+Surveyed = tuple[list[float], list[float]]
+
+
+def _ground(folder: Path) -> tuple[dict[str, Surveyed], frozenset[str], dict[str, Floats], list[str]]:
     """Points that a person has marked.
 
-    control: surveyed coordinates and their sigmas (m).
-    manual: manual tie points, which stand among control with a weight of 1.
-    adjusted: coordinates as the program adjusted them.
+    returns: those that were surveyed; manual tie points, which stand among them with a weight of 1;
+        coordinates as the program adjusted them; and what was assumed.
     """
-
-    control: dict[str, tuple[list[float], list[float]]]
-    manual: frozenset[str]
-    adjusted: dict[str, Floats]
-    remarks: list[str]
-
-
-def _ground(folder: Path) -> _Ground:
-    """Surveyed and other marked points, and what was assumed of them."""
     both, measured = file_of(folder, _MEASURED_ESTIMATED), file_of(folder, "measured_gcps_position.txt")
     surveyed, adjusted = _named(measured), _named(file_of(folder, "estimated_gcps_position.txt"))
     remarks = []
@@ -350,7 +340,7 @@ def _ground(folder: Path) -> _Ground:
     if bare:
         remarks.append(f"{bare} control points have no accuracy: {ASSUMED_M[0]} and {ASSUMED_M[2]} m assumed")
     places = {name: np.array(adjusted[name][:3]) for name in control if name in adjusted}
-    return _Ground(control, frozenset(manual), places, remarks)
+    return control, frozenset(manual), places, remarks
 
 
 def _positions(folder: Path, names: Sequence[str]) -> tuple[Floats, Floats, Floats]:

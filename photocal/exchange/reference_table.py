@@ -11,9 +11,12 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
+
 from photocal.base.errors import InputMalformedError
+from photocal.block.model import Block
+from photocal.exchange.exporting import Choices
 from photocal.exchange.parts import PointEntry, require_unique
-from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import number, read_text
 from photocal.geometry.conversion import Conversion
 
@@ -83,7 +86,7 @@ def _column(header: list[str], names: tuple[str, ...], path: Path) -> int:
     raise InputMalformedError(f"has no column {names[0].upper()}", "export the coordinates", where=path)
 
 
-def write(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Block, _: Choices) -> tuple[Conversion, ...]:
     """Reference tables of the images and of the points."""
     from pyproj import CRS
 
@@ -91,10 +94,13 @@ def write(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, 
     if given.frame != "local":
         crs = " ".join(CRS.from_user_input(given.frame).to_wkt("WKT1_GDAL").split())
     for file, names, places, sigmas in (
-        ("cameras.csv", given.image_names, given.poses[:, 3:], given.pose_sigma[:, 3:]),
-        ("markers.csv", given.point_names, given.xyz, given.xyz_sigma),
+        ("cameras.csv", given.images.names, given.images.values[:, 3:], given.images.sigma[:, 3:]),
+        ("markers.csv", given.points.names, given.points.values, given.points.sigma),
     ):
         rows = zip(names, places, sigmas, strict=True)
-        entries = (PointEntry(name, xyz=xyz, sigma=sigma) for name, xyz, sigma in rows)
+        entries = (
+            PointEntry(name, xyz=xyz, sigma=np.where(np.isfinite(sigma), sigma, np.nan))
+            for name, xyz, sigma in rows
+        )
         write_references(folder / file, crs, entries)
     return ()

@@ -3,7 +3,7 @@
 import datetime as dt
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from textwrap import TextWrapper
@@ -93,6 +93,25 @@ class TablePart:
     note: str = ""
     dense: bool = False
     widths: tuple[float, ...] = ()
+
+
+def said_table(
+    say: Catalogue,
+    key: str,
+    heads: Sequence[str | Column],
+    rows: Iterable[Sequence[str]],
+    note: str = "",
+    *,
+    dense: bool = False,
+    widths: tuple[float, ...] = (),
+) -> TablePart:
+    """Make a table whose caption is a text of the catalogue, and whose heads stand in its section.
+
+    heads: as of `columns`, or columns as they are.
+    """
+    section = key.partition(".")[0]
+    shown = (each if isinstance(each, Column) else columns(say, section, each)[0] for each in heads)
+    return TablePart(say(key), tuple(shown), tuple(map(tuple, rows)), note, dense, widths)
 
 
 def table(caption: str, heads: Sequence[str], rows: Sequence[Sequence[str]], note: str = "") -> TablePart:

@@ -14,7 +14,7 @@ from scipy.linalg import block_diag
 from photocal.accuracy.assessment import Assessment, assess
 from photocal.accuracy.discrepancies import Discrepancies
 from photocal.accuracy.standard import Question, Standard
-from photocal.adjustment.ellipses import Ellipses, ellipses
+from photocal.adjustment.ellipses import ellipses
 from photocal.adjustment.envelope import on_one_thread
 from photocal.adjustment.network import covariance_matrices
 from photocal.base.arrays import Floats
@@ -118,7 +118,7 @@ class Differences:
     covariance: Floats
     w: Floats
     distance: Floats
-    ellipses: Ellipses
+    ellipses: tuple[Floats, Floats]
     joint: JointTest | None = None
     rest: JointTest | None = None
 

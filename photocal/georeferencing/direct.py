@@ -85,7 +85,7 @@ def calibration_of(at: Factored) -> Calibration:
     if len(unknown):
         inverse = border_inverse(at.problem.layout.envelope, at.normal.matrix)
         square = np.ix_(unknown, unknown)
-        covariance[square] = blocks(column[unknown][None, :], at.problem.structure, inverse)[0]
+        covariance[square] = blocks(column[unknown][None, :], at.problem.layout.envelope, inverse)[0]
     return Calibration(at.state.cameras, at.state.common[:STRIPS], covariance)
 
 

@@ -174,12 +174,12 @@ def _point(differences: Differences, k: int) -> dict[str, Any]:
             f"s{axis}_m": differences.product_sigma[k, a],
             f"w{axis}": differences.w[k, a],
         }
-    axes = dict(zip(("semi_major_m", "semi_minor_m"), differences.ellipses.semi_axes[k], strict=True))
+    axes = dict(zip(("semi_major_m", "semi_minor_m"), differences.ellipses[0][k], strict=True))
     return {
         **keyed,
         "chi_squared": differences.distance[k],
         "covariance_m2": differences.covariance[k][np.tril_indices(3)],
-        "ellipse": axes | {"azimuth_deg": math.degrees(differences.ellipses.azimuth[k])},
+        "ellipse": axes | {"azimuth_deg": math.degrees(differences.ellipses[1][k])},
     }
 
 

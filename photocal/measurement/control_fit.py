@@ -36,21 +36,6 @@ _SAME = Similarity(1.0, np.eye(3), np.zeros(3))
 
 
 @dataclass(frozen=True)
-class FittedControl:
-    """Control as it fits a block.
-
-    block: with the marks that fit; what is surveyed and does not fit is an unknown point of these marks.
-    poses (images, 6): of its images, in its frame, to start from.
-    controlled: whether control alone says how the block lies.
-    """
-
-    block: Block
-    poses: Floats
-    findings: tuple[Finding, ...]
-    controlled: bool
-
-
-@dataclass(frozen=True)
 class _Rays:
     """Marks in oriented images, and which of them meet in their points.
 
@@ -80,11 +65,16 @@ class _Fit:
     why: str = ""
 
 
-def fit_control(adjusted: AdjustedTies, start: Block, views: OrientedImages) -> FittedControl:
+def fit_control(
+    adjusted: AdjustedTies, start: Block, views: OrientedImages
+) -> tuple[Block, Floats, list[Finding], bool]:
     """Bring the marked control of a block to its images as tie points have oriented them.
 
     start: the block with all its marks, of more images perhaps.
     views: the oriented images in the local frame of the adjusted block.
+    returns: the block with the marks that fit, where what is surveyed and does not fit is an unknown point of
+        these marks; poses of its images, in its frame, to start from; what was found; and whether control
+        alone says how the block lies.
     """
     frame, points = block_frame(adjusted.block), start.points
     placed = adjusted.start.datum != "free"
@@ -136,7 +126,7 @@ def fit_control(adjusted: AdjustedTies, start: Block, views: OrientedImages) -> 
     block = _with_what_fits(start, adjusted, rays, keeps, free=not (controlled or placed))
     if controlled and any(finding.code == "control-against-positions" for finding in findings):
         block.images.sigma[:, 3:] = np.inf
-    return FittedControl(block, _moved(views, move, frame), tuple(findings), controlled)
+    return block, _moved(views, move, frame), findings, controlled
 
 
 def _marks_of(start: Block, images: tuple[str, ...]) -> tuple[Integers, Tracks]:

@@ -208,24 +208,14 @@ def group_cameras(facts: Sequence[ImageFacts]) -> tuple[tuple[str, ...], Integer
     return tuple(names), members
 
 
-@dataclass(frozen=True)
-class GivenLens:
-    """What a person says of the lens in place of what pictures state; 0 where nothing is said."""
-
-    c_px: float = 0.0
-    focal_mm: float = 0.0
-
-    def of(self, facts: ImageFacts) -> ImageFacts:
-        """Give what an image states, with what the person says."""
-        if self.c_px > 0:
-            return replace(facts, c_px=self.c_px, maker_camera={})
-        if self.focal_mm > 0:
-            longer = facts.focal_35mm * self.focal_mm / facts.focal_mm
-            return replace(facts, focal_mm=self.focal_mm, focal_35mm=longer, maker_camera={})
-        return facts
-
-
-NO_LENS = GivenLens()
+def with_lens(facts: ImageFacts, c_px: float = 0.0, focal_mm: float = 0.0) -> ImageFacts:
+    """Give what an image states, with what a person says of the lens; 0 where nothing is said."""
+    if c_px > 0:
+        return replace(facts, c_px=c_px, maker_camera={})
+    if focal_mm > 0:
+        longer = facts.focal_35mm * focal_mm / facts.focal_mm
+        return replace(facts, focal_mm=focal_mm, focal_35mm=longer, maker_camera={})
+    return facts
 
 
 def principal_distance_px(facts: ImageFacts) -> tuple[float, str]:

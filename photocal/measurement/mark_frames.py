@@ -104,25 +104,6 @@ class FrameFit:
 
 
 @dataclass(frozen=True)
-class FrameOffer:
-    """A frame that a person may choose, and where some marks lie in the stored pictures then, if inside."""
-
-    fit: FrameFit
-    chosen: bool
-    marks: tuple[Mark, ...]
-
-    def figures(self) -> dict[str, Any]:
-        """Give it as a JSON value."""
-        return {
-            "frame": str(self.fit.frame),
-            "chosen": self.chosen,
-            "outside": self.fit.outside,
-            "miss": None if math.isnan(self.fit.miss) else self.fit.miss,
-            "marks": [{"image": m.image, "point": m.point, "x": m.x, "y": m.y} for m in self.marks],
-        }
-
-
-@dataclass(frozen=True)
 class FrameChoice:
     """Which frame marks were made in.
 
@@ -141,10 +122,11 @@ class FrameChoice:
         """Give how marks fit one of the frames."""
         return next(fit for fit in self.fits if fit.frame == frame)
 
-    def offers(self, marks: Sequence[Mark], facts: Facts) -> tuple[FrameOffer, ...]:
-        """Give the likeliest frames, and that of the stored grid, each with marks of one point.
+    def offers(self, marks: Sequence[Mark], facts: Facts) -> tuple[dict[str, Any], ...]:
+        """Give the likeliest frames, and that of the stored grid, as JSON values.
 
-        Frames that are the same for these pictures are one.
+        Each has the places of some marks of one point in the stored pictures, if inside. Frames that are the
+        same for these pictures are one.
         """
         most_frames, most_marks = 5, 3
         most = Counter(mark.point for mark in marks).most_common(1)
@@ -154,12 +136,19 @@ class FrameChoice:
             if not any(_alike(fit.frame, other.frame, marks, facts) for other in fits):
                 fits.append(fit)
         listed = [fit for k, fit in enumerate(fits) if k < most_frames or fit.frame == AS_STORED]
-        there = (
-            [mark for mark in fit.frame.stored(shown, facts) if inside(mark, facts[mark.image].size_px)]
-            for fit in listed
-        )
         return tuple(
-            FrameOffer(fit, fit.frame == self.chosen, tuple(m)) for fit, m in zip(listed, there, strict=True)
+            {
+                "frame": str(fit.frame),
+                "chosen": fit.frame == self.chosen,
+                "outside": fit.outside,
+                "miss": None if math.isnan(fit.miss) else fit.miss,
+                "marks": [
+                    {"image": mark.image, "point": mark.point, "x": mark.x, "y": mark.y}
+                    for mark in fit.frame.stored(shown, facts)
+                    if inside(mark, facts[mark.image].size_px)
+                ],
+            }
+            for fit in listed
         )
 
 
@@ -324,27 +313,16 @@ def _miss(frame: MarkFrame, carried: Sequence[_Carried], facts: Facts) -> float:
     return float(np.median(misses))
 
 
-@dataclass(frozen=True)
-class SettledMarks:
-    """Marks of known points in pictures that are there, px of the stored grid.
-
-    frame: of the pictures that they were made in.
-    left_out: marks that cannot be used, each with the finding that says why.
-    """
-
-    marks: tuple[Mark, ...]
-    frame: MarkFrame
-    left_out: tuple[tuple[Mark, Finding], ...]
-    findings: tuple[Finding, ...]
-
-
 def settle_marks(
     marks: Sequence[Mark], points: Collection[str], facts: Sequence[ImageFacts], folder: Mapping[str, Path]
-) -> SettledMarks:
+) -> tuple[list[Mark], MarkFrame, list[tuple[Mark, Finding]], list[Finding]]:
     """Settle marks before any work.
 
     points: names of those that are known.
     folder: where the pictures lie, by name.
+    returns: marks of known points in pictures that are there, px of the stored grid; the frame of the
+        pictures that they were made in; marks that cannot be used, each with the finding that says why; and
+        what else was found.
     """
     pictures, names = {image.name: image for image in facts}, frozenset(points)
     left_out = [(mark, cause) for mark in marks if (cause := _unknown(mark, names, pictures)) is not None]
@@ -363,7 +341,7 @@ def settle_marks(
             continue
         figures = {"image": mark.image, "x": mark.x, "y": mark.y}
         left_out.append((given, Finding("mark-outside", "doubtful", mark.point, figures)))
-    return SettledMarks(tuple(kept), frame, tuple(left_out), tuple(findings))
+    return kept, frame, left_out, findings
 
 
 def _unknown(mark: Mark, points: Collection[str], pictures: Collection[str]) -> Finding | None:

@@ -240,26 +240,11 @@ def parse_board(text: str, square_m: float, dictionary_name: str = "") -> Board:
     return Board(columns, rows, square_m, "charuco", dictionary=dictionary_name)
 
 
-@dataclass(frozen=True)
-class BoardView:
-    """A board in an image; `corners` (n,): which of the board's inner corners."""
+def find_board(grey: Grey, board: Board) -> tuple[Integers, Floats, Floats] | None:
+    """Find a board and measure its corners.
 
-    corners: Integers
-    centres: tuple[Centre, ...]
-
-    @property
-    def pixels(self) -> Floats:
-        """Columns and rows, shape (n, 2)."""
-        return np.array([[c.column, c.row] for c in self.centres]).reshape(-1, 2)
-
-    @property
-    def sigmas(self) -> Floats:
-        """Standard deviations of columns and rows, px, shape (n, 2)."""
-        return np.array([c.sigma for c in self.centres]).reshape(-1, 2)
-
-
-def find_board(grey: Grey, board: Board) -> BoardView | None:
-    """Find a board and measure its corners."""
+    returns: which of its inner corners, (n,); columns and rows, (n, 2); and their standard deviations, px.
+    """
     grey, eight = measurable(grey), as_eight_bit(grey)
     rough = _chessboard(eight, board) if board.kind == "chessboard" else _charuco(eight, board)
     fewest_corners = 8
@@ -276,7 +261,8 @@ def find_board(grey: Grey, board: Board) -> BoardView | None:
             centres.append(centre)
     if len(measured) < fewest_corners:
         return None
-    return BoardView(np.array(measured, dtype=np.int64), tuple(centres))
+    pixels = np.array([(centre.column, centre.row) for centre in centres])
+    return np.array(measured, dtype=np.int64), pixels, np.array([centre.sigma for centre in centres])
 
 
 def charuco_board(board: Board) -> Any:

@@ -1,5 +1,6 @@
 """The step from pictures to a block: of a project, of a folder, of a board or a field of coded targets."""
 
+from functools import partial
 from pathlib import Path
 
 from photocal.base.console import numbers_of
@@ -8,7 +9,7 @@ from photocal.base.operating_system import cache_folder
 from photocal.base.progress import Progress, quiet
 from photocal.base.workers import Cluster
 from photocal.measurement.image_file import list_images
-from photocal.measurement.maker_camera import GivenLens
+from photocal.measurement.maker_camera import with_lens
 from photocal.measurement.markers import parse_board
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measurement_record import MeasuredBlock
@@ -60,7 +61,7 @@ def measure(
             "--marks has no coordinates of its points",
             "give PROJECT.toml, whose control table has them, or --gcp with both",
         )
-    folder, lens = Path(pictures), GivenLens(options.c_px, options.focal_mm)
+    folder, lens = Path(pictures), partial(with_lens, c_px=options.c_px, focal_mm=options.focal_mm)
     paths, name = list_images(folder), folder.resolve().name
     if options.field:
         cache = (options.cache or cache_folder()).resolve()

@@ -10,7 +10,7 @@ from scipy.special import ndtr
 from photocal.base.arrays import Flags, Floats
 from photocal.block.folder import read_images
 from photocal.geometry.camera import PARAMETERS
-from photocal.geometry.frames import LocalFrame, ShiftedFrame, reference_frame
+from photocal.geometry.frames import UNSTATED, LocalFrame, ShiftedFrame, reference_frame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.project import Project
 from photocal.results.folder import RESULT, image_covariances, read_result
@@ -40,7 +40,9 @@ class Orientation:
 def of_run(run: Path) -> Orientation:
     """Read the orientation that an adjustment found."""
     result = read_result(run)
-    return Orientation(result.images, result.block.frame, result.block.height, "adjustment")
+    # What was adjusted counts heights as its points do: nothing that GNSS has measured stands beside it.
+    height = UNSTATED if result.block.height == "orthometric" else result.block.height
+    return Orientation(result.images, result.block.frame, height, "adjustment")
 
 
 def of_project(project: Project, names: tuple[str, ...]) -> Orientation | None:

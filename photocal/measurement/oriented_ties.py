@@ -14,7 +14,7 @@ from photocal.block.model import Block, Images
 from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.measurement.control_fit import FittedControl, fit_control
+from photocal.measurement.control_fit import fit_control
 from photocal.measurement.patch_matching import HALF, ImageSource, refine_reduced
 from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties
 from photocal.measurement.tie_block import (
@@ -52,7 +52,7 @@ _WITHOUT_CONTROL = ("block-not-placed", "positions-in-line")
 class Oriented:
     """A block oriented by tie points.
 
-    verified: all tracks that fit the final orientation, before they were thinned.
+    verified: all tracks that fit the orientation, before they were thinned.
     marked: the images with the control and the marks that fit.
     """
 
@@ -72,66 +72,49 @@ class UnorientedError(IllPosedError):
         self.block = block
 
 
-@dataclass(frozen=True)
-class First:
-    """Images oriented by tracks of features.
-
-    kept: which of the images these are.
-    marked: the images with the control and the marks that fit.
-    """
-
-    adjusted: AdjustedTies
-    kept: Integers
-    left_out: tuple[dict[str, str], ...]
-    findings: tuple[Finding, ...]
-    marked: Block
-
-
-def first_orientation(marked: Block, tracks: Tracks) -> First:
+def first_orientation(marked: Block, tracks: Tracks) -> Oriented:
     """Orient a block by tracks of features, then bring in what of its control fits."""
     names, sigma = marked.images.names, marked.images.sigma
     start = replace(marked, observations=marked.observations.rows(np.zeros(0, dtype=np.int64)))
-    start, tracks, kept, left_out = _connected(start, tracks)
+    start, tracks, left_out = _connected(start, tracks)
     sizes = _sizes(start)
-    placed = oriented(start, _strong(tracks, sizes, FIRST_IN_A_CELL))
-    named = zip(start.images.names, placed.reasons, strict=True)
+    placed, poses, reasons, findings = oriented(start, _strong(tracks, sizes, FIRST_IN_A_CELL))
+    named = zip(start.images.names, reasons, strict=True)
     left_out += [{"image": name, "reason": why, "code": "not-joined"} for name, why in named if why]
-    reached = np.array([not reason for reason in placed.reasons])
-    start, tracks = without_images(placed.block, ~reached), of_images(tracks, reached)
+    reached = np.array([not reason for reason in reasons])
+    start, tracks = without_images(placed, ~reached), of_images(tracks, reached)
     stated = dict(zip(names, sigma, strict=True))
-    first = adjust_ties(start, placed.poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL))
-    findings, fits = list(placed.findings), first.start
+    first = adjust_ties(start, poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL))
+    fits = first.start
     if len(marked.observations.image) or marked.points.of_role("control").any():
-        fitted = fit_control(first, marked, _views(first))
-        first, fits, findings = _with_control(first, fitted, findings)
+        fits, poses, of_control, controlled = fit_control(first, marked, _views(first))
+        if controlled:
+            findings = [finding for finding in findings if finding.code not in _WITHOUT_CONTROL]
+        findings += of_control
+        if len(fits.observations.image):
+            first, fits, findings = _with_control(first, fits, poses, findings)
     first = _by_positions(first, stated)
-    holds = np.isin(start.images.names, first.start.images.names)
     if first.start.datum != "free":
         as_stated, shifted = _as_stated(first.start, stated), _controlled(first.start)
         findings += position_sigmas(as_stated, first.values, shifted=shifted)[2]
     elif marked.datum != "free" and NOT_PLACED not in findings:
         findings.append(NOT_PLACED)
-    return First(first, kept[reached][holds], (*left_out, *first.left_out), tuple(findings), fits)
+    return Oriented(first, first.tracks, fits, (*left_out, *first.left_out), tuple(findings))
 
 
 def _with_control(
-    alone: AdjustedTies, fitted: FittedControl, findings: list[Finding]
+    alone: AdjustedTies, fitted: Block, poses: Floats, findings: list[Finding]
 ) -> tuple[AdjustedTies, Block, list[Finding]]:
     """Adjust anew with the control that fits, and give the block with it; without where it does not hold."""
-    if fitted.controlled:
-        findings = [finding for finding in findings if finding.code not in _WITHOUT_CONTROL]
-    findings = [*findings, *fitted.findings]
-    if not len(fitted.block.observations.image):
-        return alone, fitted.block, findings
     try:
-        adjusted = adjust_ties(fitted.block, fitted.poses, alone.tracks)
+        adjusted = adjust_ties(fitted, poses, alone.tracks)
     except PhotocalError as refusal:
         figures = {"refusal": refusal.what}
         findings.append(Finding("control-not-used", "doubtful", figures=figures, cause="control-refused"))
         known = alone.start.points
         return alone, replace(alone.start, points=known.only(known.of_role("tie"))), findings
     rejected, left_out = alone.rejected + adjusted.rejected, (*alone.left_out, *adjusted.left_out)
-    return replace(adjusted, rejected=rejected, left_out=left_out), fitted.block, findings
+    return replace(adjusted, rejected=rejected, left_out=left_out), fitted, findings
 
 
 def _by_positions(adjusted: AdjustedTies, stated: Mapping[str, Floats]) -> AdjustedTies:
@@ -189,11 +172,11 @@ def orient_ties(
         places = np.full((tracks.count, 3), np.nan)
         block = with_ties(start, tracks, places, np.ones(len(tracks.track)))
         raise UnorientedError(refusal.what, remedy=refusal.remedy, block=block) from refusal
-    kept = np.isin(np.arange(len(names)), first.kept)
+    kept = np.isin(names, first.adjusted.start.images.names)
     tracks, sizes = of_images(tracks, kept), _sizes(first.adjusted.start)
     tracks = thin(tracks, sizes, CELLS, MATCHED_IN_A_CELL)
-    partners = _partners(pairs, first.kept, len(names))
-    chosen = [sources[k] for k in first.kept]
+    partners = _partners(pairs, np.flatnonzero(kept), len(names))
+    chosen = [source for source, good in zip(sources, kept, strict=True) if good]
     left_out, findings = list(first.left_out), [*first.findings, ESTIMATED]
     final, matched = first.adjusted, tracks
     # How often images are halved, pass after pass, so that each finds what the one before has left.
@@ -229,17 +212,16 @@ def _sizes(block: Block) -> Floats:
     return np.array([camera.size_px for camera in block.cameras], dtype=float)[block.images.camera]
 
 
-def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, Integers, list[dict[str, str]]]:
+def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, list[dict[str, str]]]:
     """Take out images with too few tie points."""
-    kept = np.arange(len(start.images.names))
     left_out: list[dict[str, str]] = []
     # An image with fewer tie points is not oriented by them.
     fewest_ties = 12
     while True:
-        seen = np.bincount(tracks.image, minlength=len(kept))
+        seen = np.bincount(tracks.image, minlength=len(start.images.names))
         few = seen < fewest_ties
         if not few.any():
-            return start, tracks, kept, left_out
+            return start, tracks, left_out
         left_out += [
             {
                 "image": start.images.names[k],
@@ -254,7 +236,7 @@ def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, Integers, l
                 f"the images cannot be oriented by tie points: {reasons}",
                 "take images that overlap by 60 % and more, from different places",
             )
-        start, tracks, kept = without_images(start, few), of_images(tracks, ~few), kept[~few]
+        start, tracks = without_images(start, few), of_images(tracks, ~few)
 
 
 def _strong(tracks: Tracks, sizes: Floats, in_a_cell: int) -> Tracks:

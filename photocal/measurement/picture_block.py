@@ -27,7 +27,7 @@ from photocal.measurement.control_review import stray_points
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, motion_while_read, read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.measurement.image_pairs import Footprints, exposed_footprints, stated_footprints
-from photocal.measurement.maker_camera import NO_LENS, GivenLens, group_cameras, stated_camera
+from photocal.measurement.maker_camera import group_cameras, stated_camera, with_lens
 from photocal.measurement.mark_frames import settle_marks
 from photocal.measurement.marks import (
     ControlMarks,
@@ -140,7 +140,7 @@ def measure_images(
     name: str,
     plan: MatchingPlan,
     progress: Progress,
-    lens: GivenLens = NO_LENS,
+    lens: Given = with_lens,
     control: GivenControl | None = None,
 ) -> MeasuredBlock:
     """Measure tie points in images, join them with marked control points, and make their block.
@@ -169,9 +169,8 @@ def measure_images(
 
     read = (lambda _: NO_CONTROL) if control is None else control.read
     height = "" if control is None else control.height
-    return _measured(
-        KnownPictures(name, paths, lens.of, stated_footprints, read, height, told), plan, progress
-    )
+    known = KnownPictures(name, paths, lens, stated_footprints, read, height, told)
+    return _measured(known, plan, progress)
 
 
 def measure_project(
@@ -237,8 +236,8 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     start = _start(known, control, tracked.facts, given)
     targets = _targets(known, tracked.sources, control.points, plan, progress)
     folder = {path.name: path for path in known.paths}
-    settled = settle_marks(control.marks, control.points.names, tracked.facts, folder)
-    block, _ = with_marks(start, (*settled.marks, *targets.marks))
+    settled, _, unused, settling = settle_marks(control.marks, control.points.names, tracked.facts, folder)
+    block, _ = with_marks(start, (*settled, *targets.marks))
     positions_known = np.isfinite(start.images.values[:, 3:]).all(axis=1).any()
     if project is not None and not positions_known and not block.points.of_role("control").any():
         block = replace(block, datum="free")
@@ -262,7 +261,7 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     suspects = suspected_marks(final)
     bare = [Finding("no-coordinates", "doubtful", point) for point in control.without_coordinates]
     left_out = (*tracked.left_out, *oriented.left_out)
-    lost = [*settled.findings, *(finding for _, finding in settled.left_out)]
+    lost = [*settling, *(finding for _, finding in unused)]
     marks = findings_of_marks(lost, targets.strangers, suspects, left_out)
     if given is None:
         names, members = group_cameras(tracked.facts)
@@ -281,7 +280,7 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
         "marks": {"by_hand": len(control.marks), "targets": len(targets.marks), "used": used},
         "targets": targets.record,
         "positions": positions if known.starts is None else None,
-        "unknown_marks": [f"{m.point} in {m.image}" for m, _ in settled.left_out],
+        "unknown_marks": [f"{m.point} in {m.image}" for m, _ in unused],
         "unknown_targets": list(targets.strangers),
         "suspected_marks": suspects,
         **as_record([*targets.findings, *strays, *bare, *findings, *marks]),
@@ -422,7 +421,7 @@ def pictures_of_heads(project: Project) -> tuple[dict[str, int], dict[str, str]]
 def better_known(project: Project, names: Sequence[str]) -> Given:
     """What a project's table of positions says in place of the pictures, in the project's frame."""
     path, frame = project.images.positions, project.images.position_frame
-    told = NO_LENS.of if path is None else read_positions(path, names)
+    told = with_lens if path is None else read_positions(path, names)
     if frame is None:
         return told
     # Said once for all, and not of each picture.

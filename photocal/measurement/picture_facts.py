@@ -2,8 +2,8 @@
 
 Keys are tags of EXIF by their names in the standard, or properties of XMP as "prefix:name"; the first one
 that is written counts. What no maker of the table writes is sought by the bare name, whoever wrote it; what
-is not found there either stays unknown. A new maker is a key more, a new fact one entry here and one field of
-`image_facts.ImageFacts`.
+is not found there either stays unknown. A new maker is a key more, a new fact one entry of
+`picture_facts.toml` and one field of `image_facts.ImageFacts`.
 
 Sources: EXIF 2.32 (CIPA DC-008); DJI, manuals of Zenmuse P1 (p. 22), Mavic 3M (p. 89-90) and Matrice 4
 (p. 90-91); DJI Payload SDK (kinds of altitude); Pix4D, "XMP tags of cameras"; Parrot, ANAFI photo metadata;
@@ -19,8 +19,10 @@ are read all the same.
 import html
 import math
 import re
+import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from importlib import resources
 from typing import Any, Literal
 
 LONGEST, MOST_TAGS, LONGEST_VALUE = 1 << 20, 4096, 200
@@ -113,234 +115,14 @@ class Fact:
     used: str
 
 
-def _dji(*names: str) -> tuple[str, ...]:
-    """Keys as DJI writes them, and those that Autel has taken over under names of its own."""
-    return tuple(f"{prefix}:{name}" for name in names for prefix in ("drone-dji", "drone-autel"))
+def _facts() -> tuple[Fact, ...]:
+    """The table, as it stands beside this module."""
+    text = resources.files("photocal.measurement").joinpath("picture_facts.toml").read_text("utf-8")
+    rows: list[dict[str, Any]] = tomllib.loads(text)["fact"]
+    return tuple(Fact(**{"unit": "", **row, "keys": tuple(row["keys"])}) for row in rows)
 
 
-def _triple_of(prefix: str, *names: str) -> str:
-    return " ".join(f"{prefix}:{name}" for name in names)
-
-
-_CAMERA, _CONDITIONS, _CHECKS, _START = (
-    "camera groups",
-    "certificate: conditions",
-    "picture tests",
-    "start values",
-)
-FACTS: tuple[Fact, ...] = (
-    Fact("make", "", "maker of the camera", "text", ("EXIF:Make",), f"{_CAMERA}, certificate"),
-    Fact("model", "", "model of the camera", "text", ("EXIF:Model",), f"{_CAMERA}, certificate"),
-    Fact(
-        "serial", "", "serial number of the body", "text",
-        ("EXIF:BodySerialNumber", "EXIF:CameraSerialNumber", *_dji("CameraSerialNumber"),
-        f"{ANY}:SerialNumber"),
-        f"{_CAMERA}, certificate",
-    ),
-    Fact("lens", "", "lens", "text", ("EXIF:LensModel",), "certificate"),
-    Fact(
-        "lens_serial", "", "serial number of the lens", "text",
-        ("EXIF:LensSerialNumber", *_dji("LensSerialNumber")), f"{_CAMERA}, certificate",
-    ),
-    Fact("firmware", "", "firmware", "text", ("EXIF:Software",), _CONDITIONS),
-    Fact(
-        "vehicle", "", "model of the aircraft", "text", _dji("DroneModel", "ProductName"),
-        "certificate: campaign",
-    ),
-    Fact(
-        "vehicle_serial", "", "serial number of the aircraft", "text",
-        _dji("DroneSerialNumber", "DroneID"), "certificate: campaign",
-    ),
-    Fact("image_source", "", "which camera of several", "text", _dji("ImageSource"), _CAMERA),
-    Fact(
-        "orientation", "", "how a viewer turns the picture, 1 to 8", "made", ("EXIF:Orientation",),
-        "reading",
-    ),
-    Fact(
-        "full_size_px", "px", "size that the picture was stored with at first", "made",
-        ("EXIF:ExifImageWidth", "EXIF:ExifImageHeight"), "size of the pictures in which marks were made",
-    ),
-    Fact("focal_mm", "mm", "focal length", "positive", ("EXIF:FocalLength",), f"{_START}, {_CHECKS} (zoom)"),
-    Fact(
-        "focal_35mm", "mm", "focal length of the same diagonal of 36 mm x 24 mm", "positive",
-        ("EXIF:FocalLengthIn35mmFilm",), _START,
-    ),
-    Fact(
-        "pitch_mm", "mm", "pitch of the stored pixels", "made",
-        ("EXIF:FocalPlaneXResolution", "EXIF:FocalPlaneResolutionUnit", "EXIF:ExifImageWidth"), _START,
-    ),
-    Fact(
-        "taken", "", "time of the camera's own clock, its zone unknown", "made",
-        ("EXIF:DateTimeOriginal", "EXIF:DateTime", "EXIF:SubsecTimeOriginal"), "matching with events",
-    ),
-    Fact(
-        "exposed_utc", "", "UTC of the exposure", "moment", _dji("UTCAtExposure"),
-        "matching with events, in place of the camera's own clock",
-    ),
-    Fact(
-        "gps_utc", "", "UTC of the position", "made", ("GPS:GPSDateStamp", "GPS:GPSTimeStamp"),
-        "event lists",
-    ),
-    Fact(
-        "latitude_deg", "deg", "latitude, WGS 84", "made",
-        ("GPS:GPSLatitude", *_dji("GpsLatitude"), "drone-skydio:Latitude"), "positions",
-    ),
-    Fact(
-        "longitude_deg", "deg", "longitude, WGS 84", "made",
-        ("GPS:GPSLongitude", *_dji("GpsLongitude", "GpsLongtitude"), "drone-skydio:Longitude"), "positions",
-    ),
-    Fact(
-        "altitude_m", "m", "height, of the kind that `height_kind` tells", "made",
-        (*_dji("AbsoluteAltitude"), "drone-skydio:AbsoluteAltitude", "GPS:GPSAltitude"), "positions",
-    ),
-    Fact(
-        "altitude_kind", "", "what the maker calls that height", "text", _dji("AltitudeType"),
-        "height of a project",
-    ),
-    Fact(
-        "relative_altitude_m", "m", "height above the take-off point", "number",
-        (*_dji("RelativeAltitude"), "drone-skydio:RelativeAltitude"), "flying height, `photocal new`",
-    ),
-    Fact(
-        "position_sigma_m", "m", "standard deviations of the position, east, north, up", "triple",
-        (
-            _triple_of("drone-dji", "RtkStdLon", "RtkStdLat", "RtkStdHgt"),
-            _triple_of("Camera", "GPSXYAccuracy", "GPSXYAccuracy", "GPSZAccuracy"),
-            _triple_of(
-                "drone-skydio", "GpsHorizontalAccuracy", "GpsHorizontalAccuracy", "GpsVerticalAccuracy"
-            ),
-        ),
-        "weights of positions, event lists",
-    ),
-    Fact(
-        "rtk_flag", "", "solution: 50 fixed, 32 to 49 float, 16 single, 0 none", "number", _dji("RtkFlag"),
-        f"{_CHECKS} (fix), height of a project",
-    ),
-    Fact(
-        "rtk_age_s", "s", "age of the corrections", "number", _dji("RtkDiffAge"),
-        f"{_CHECKS} (old corrections)",
-    ),
-    Fact(
-        "surveying_mode", "", "1 where the maker recommends the picture for mapping", "number",
-        _dji("SurveyingMode"), f"{_CHECKS} (fix)",
-    ),
-    Fact("caster", "", "host of the NTRIP caster", "text", _dji("NTRIPHost"), "certificate: positioning"),
-    Fact(
-        "mount_point", "", "mount point of the caster", "text", _dji("NTRIPMountPoint"),
-        "certificate: positioning",
-    ),
-    Fact(
-        "gimbal_deg", "deg", "roll, pitch, yaw of the camera (ZYX, north east down); pitch -90 looks down",
-        "triple",
-        (
-            _triple_of("drone-dji", "GimbalRollDegree", "GimbalPitchDegree", "GimbalYawDegree"),
-            _triple_of("drone-parrot", "CameraRollDegree", "CameraPitchDegree", "CameraYawDegree"),
-            _triple_of(
-                "drone-skydio", *(f"CameraOrientationNED/{name}" for name in ("Roll", "Pitch", "Yaw"))
-            ),
-        ),
-        "attitudes, footprints, turned pictures",
-    ),
-    Fact(
-        "vehicle_deg", "deg", "roll, pitch, yaw of the aircraft", "triple",
-        (
-            _triple_of("drone-dji", "FlightRollDegree", "FlightPitchDegree", "FlightYawDegree"),
-            _triple_of("drone-parrot", "DroneRollDegree", "DronePitchDegree", "DroneYawDegree"),
-            _triple_of("sensefly", "Roll", "Pitch", "Yaw"),
-        ),
-        "lever arm",
-    ),
-    Fact(
-        "mount_deg", "deg", "roll, pitch, yaw by Pix4D's tags; of camera or aircraft, depending on the maker",
-        "triple",
-        (_triple_of("Camera", "Roll", "Pitch", "Yaw"),),
-        "attitude of old Autel firmware (pitch 0 looks down); of others shown only",
-    ),
-    Fact(
-        "gimbal_reverse", "", "1 where the gimbal hangs upside down", "number", _dji("GimbalReverse"),
-        _CHECKS,
-    ),
-    Fact("camera_reverse", "", "1 where the camera is upside down", "number", _dji("CamReverse"), _CHECKS),
-    Fact(
-        "speed_m_s", "m/s", "speed over ground", "made", _dji("FlightXSpeed", "FlightYSpeed"),
-        f"{_CHECKS} (smear)",
-    ),
-    Fact(
-        "velocity_m_s", "m/s", "velocity east, north, up by the maker's inertial unit", "made",
-        ("Camera:IMULinearVelocity",), "motion while a picture is read",
-    ),
-    Fact(
-        "turns", "s, rad/s", "record of the maker's gyroscope", "made",
-        ("Camera:IMUAngularVelocity", "Camera:IMUTimeOffset"), "motion while a picture is read",
-    ),
-    Fact(
-        "exposure_s", "s", "exposure time", "positive", ("EXIF:ExposureTime",),
-        f"{_CONDITIONS}, {_CHECKS} (smear)",
-    ),
-    Fact("iso", "", "sensitivity", "positive", ("EXIF:ISOSpeedRatings",), _CONDITIONS),
-    Fact("f_number", "", "aperture", "positive", ("EXIF:FNumber",), f"{_CONDITIONS}, {_CHECKS} (lens)"),
-    Fact(
-        "shutter_type", "", "mechanical or electronic shutter", "text", _dji("ShutterType"),
-        f"{_CONDITIONS}, {_CHECKS} (lens)",
-    ),
-    Fact("shutter_count", "", "exposures of the shutter so far", "number", _dji("ShutterCount"), _CONDITIONS),
-    Fact(
-        "focus_m", "m", "distance focused at", "positive", ("EXIF:SubjectDistance", *_dji("FocusDistance")),
-        f"{_CONDITIONS}, {_CHECKS} (refocus)",
-    ),
-    Fact(
-        "lens_position", "", "position of the focusing lens, in steps of the maker", "number",
-        _dji("LensPosition"),
-        f"{_CONDITIONS}, {_CHECKS} (refocus)",
-    ),
-    Fact(
-        "sensor_temperature_c", "deg C", "temperature of the sensor", "number",
-        (*_dji("SensorTemperature"), "Camera:SensorTemperature"), f"{_CONDITIONS}, `compare`",
-    ),
-    Fact(
-        "lens_temperature_c", "deg C", "temperature of the lens", "number", _dji("LensTemperature"),
-        f"{_CONDITIONS}, `compare`",
-    ),
-    Fact(
-        "dewarped", "", "1 where the camera has taken the distortion out", "number", _dji("DewarpFlag"),
-        f"{_START}, {_CHECKS} (corrected in the camera)",
-    ),
-    Fact(
-        "lens_profile", "", "1 or True where a lens profile was applied", "text", ("crs:LensProfileEnable",),
-        f"{_CHECKS} (corrected in the camera)",
-    ),
-    Fact(
-        "sharpness", "", "sharpening in the camera: 0 normal, 1 soft, 2 hard", "number", ("EXIF:Sharpness",),
-        f"{_CHECKS} (corrected in the camera)",
-    ),
-    Fact(
-        "laser_m", "m", "distance that the laser rangefinder measured along the axis of the camera", "made",
-        _dji("LRFTargetDistance", "LRFStatus"), "laser check, `photocal new`",
-    ),
-    Fact(
-        "laser_target", "deg, m", "latitude, longitude and ellipsoidal height of what the laser hit",
-        "triple",
-        (_triple_of("drone-dji", "LRFTargetLat", "LRFTargetLon", "LRFTargetAbsAlt"),), "`photocal new`",
-    ),
-    Fact(
-        "maker_camera", "",
-        "calibration of the maker, readout of a line, and what joins pictures of one exposure",
-        "made",
-        (
-            *_dji("DewarpData", "DewarpDataK6", "DewarpFlag", "CalibratedFocalLength", "CaptureUUID"),
-            *(
-                f"Camera:{name}"
-                for name in (
-                    "PerspectiveFocalLength", "PerspectiveDistortion", "PrincipalPoint",
-                    "FisheyeAffineMatrix",
-                    "FisheyePolynomial", "RigCameraIndex", "LineReadoutTime",
-                )
-            ),
-            "MicaSense:CaptureId",
-        ),
-        f"{_START}, rigs, readout",
-    ),
-)  # fmt: skip
+FACTS = _facts()
 
 
 def read_table(tags: Tags) -> dict[str, Any]:

@@ -67,8 +67,6 @@ def with_chosen_lenses(
         for place, camera in enumerate(adjusted.start.cameras)
         if _is_open(given[camera.id]) and _is_open(used[place])
     }
-    # With an estimated readout the residuals say in the end whether they are smaller.
-    not_worse = 1.001
     # What a rolling shutter feigned is taken back: the scale first.
     for nth in range(1 + max(map(len, choices.values()), default=0)):
         lenses = {name: lens[nth] for name, lens in choices.items() if nth < len(lens)}
@@ -82,8 +80,9 @@ def with_chosen_lenses(
             better = adjust_ties(replace(adjusted.start, cameras=tuple(cameras)), adjusted.values, tracks)
         except (IllPosedError, NotConvergedError):
             continue
-        smaller = ray_rms_px(better) <= not_worse * ray_rms_px(adjusted)
-        if not lenses or (smaller and all(_still_pays(better, adjusted, name) for name in lenses)):
+        if not lenses or (
+            _fits_as_well(better, adjusted) and all(_still_pays(better, adjusted, name) for name in lenses)
+        ):
             break
     else:
         return adjusted, block, []
@@ -125,22 +124,28 @@ def _preferred(adjusted: AdjustedTies, place: int) -> list[Chosen]:
     values[_POLYNOMIALS] *= -1.0
     turned = replace(camera, model=other, values=values)
     variants += [turned, replace(turned, estimated=with_k4)]
-    fits = list[tuple[float, float, Camera]]()
-    for lens in variants:
-        try:
-            chi_squared, lens = _least(adjusted, (*cameras[:place], lens, *cameras[place + 1 :]), place)
-        except (IllPosedError, NotConvergedError):
-            if not fits:
-                return []
-            continue
-        fits.append((chi_squared + _needed(lens, camera), chi_squared, lens))
-    given, best = fits[0][1], min(fits, key=lambda fit: fit[0])
-    preferred = [best[1:]] if best is not fits[0] else []
-    scaled = with_loose_sides(best[2])
-    with suppress(IllPosedError, NotConvergedError):
-        chi_squared, scaled = _least(adjusted, (*cameras[:place], scaled, *cameras[place + 1 :]), place)
-        if chi_squared + _needed(scaled, best[2]) < best[1]:
-            preferred.insert(0, (chi_squared, scaled))
+
+    def least(lenses: Sequence[Camera]) -> list[tuple[float, Camera]]:
+        """Least v'Pv with each lens that the block bears."""
+        fits = list[tuple[float, Camera]]()
+        for lens in lenses:
+            with suppress(IllPosedError, NotConvergedError):
+                fits.append(_least(adjusted, (*cameras[:place], lens, *cameras[place + 1 :]), place))
+        return fits
+
+    def criterion(fit: tuple[float, Camera]) -> float:
+        return fit[0] + _needed(fit[1], camera)
+
+    own = least(variants[:1])
+    if not own:
+        return []
+    fits = [*own, *least(variants[1:])]
+    given, best = own[0][0], min(fits, key=criterion)
+    preferred = [] if best is own[0] else [best]
+    # Which polynomial a camera has shows only once nothing else bends the rays.
+    scaled = min(least([with_loose_sides(lens) for _, lens in fits]), key=criterion, default=best)
+    if criterion(scaled) < criterion(best):
+        preferred.insert(0, scaled)
     return [
         (
             lens,
@@ -162,6 +167,24 @@ def _needed(lens: Camera, given: Camera) -> float:
     # By how much another lens must lower v'Pv, and for each unknown more.
     gain = 20.0
     return gain * (unknowns + (lens.model != given.model))
+
+
+def _fits_as_well(better: AdjustedTies, before: AdjustedTies) -> bool:
+    """Whether other lenses leave no more v'Pv in the same rays than the first ones, which may have readouts.
+
+    That pixels are square was assumed to find the lens: the rays alone decide between a scale and a readout.
+    """
+    given = {camera.id: camera for camera in before.start.cameras}
+    cameras = [
+        replace(
+            camera, prior_sigma=np.where(_SCALE & ~given[camera.id].estimated, np.inf, camera.prior_sigma)
+        )
+        for camera in better.start.cameras
+    ]
+    try:
+        return _least(before, cameras, 0)[0] <= before.solution.chi_squared
+    except (IllPosedError, NotConvergedError):
+        return False
 
 
 def _still_pays(better: AdjustedTies, before: AdjustedTies, name: str) -> bool:

@@ -21,9 +21,10 @@ from photocal.geometry.rotation import angles_from_matrix
 from photocal.measurement.features import Arrays, cached, combined_key
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture, read_grey
-from photocal.measurement.maker_camera import GivenLens, group_cameras, principal_distance_px, start_camera
+from photocal.measurement.maker_camera import group_cameras, principal_distance_px, start_camera
 from photocal.measurement.markers import COMMON_PX, VERSION, Board, dictionary, find_board, find_markers
 from photocal.measurement.measurement_record import PIXEL_ORIGIN, SCHEMA, MeasuredBlock
+from photocal.measurement.position_files import Given
 
 ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1")
 # Of fewer pictures or targets of a field no camera is calibrated.
@@ -62,7 +63,7 @@ def measure_board(paths: Sequence[Path], board: Board, name: str, progress: Prog
         facts, view = read_facts(path), find_board(read_grey(path), board)
         if view is None:
             raise InputNotFoundError("the board was not found", where=path)
-        return TargetView(facts, view.corners, view.pixels, view.sigmas)
+        return TargetView(facts, *view)
 
     with progress("measuring the board", len(paths)) as done:
         views, left_out = each_picture(paths, measure, done)
@@ -94,12 +95,13 @@ def measure_field(
     dictionary_name: str,
     distances: Path | None,
     name: str,
-    lens: GivenLens,
+    lens: Given,
     cache: Path,
     progress: Progress,
 ) -> MeasuredBlock:
     """Measure the corners of coded targets without coordinates and make the block that calibrates the camera.
 
+    lens: what an image states, with what is said of the lens.
     cache: folder where what was measured is kept by the content of the picture.
     distances: CSV with the columns from, to, value, sigma (m) between corners; without, the unit is free.
     raises InputNotFoundError: when too few pictures show too few targets.
@@ -123,7 +125,7 @@ def measure_field(
             pixels = np.array([m.corners for m in markers]).reshape(-1, 2)
             return {"corner": corner.ravel(), "pixels": pixels, "sigma": np.repeat(sigma, 4)}
 
-        facts = lens.of(read_facts(path))
+        facts = lens(read_facts(path))
         key = combined_key(VERSION, "corners of coded targets", digest(path), dictionary_name)
         found = cached(cache, key, ("corner", "pixels", "sigma"), make)
         return TargetView(facts, found["corner"], found["pixels"], found["sigma"][:, None].repeat(2, axis=1))

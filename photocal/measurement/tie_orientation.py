@@ -6,7 +6,7 @@ metres, only places it. So a wrong position bends nothing and can be told from t
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -48,25 +48,12 @@ SAME_WAY, MOST, UPRIGHT = 0.87, 0.9, 0.3
 FEWEST_JOINED, JOINED_TURN = 4, 0.05
 
 
-@dataclass(frozen=True)
-class Placed:
-    """A block with oriented images.
-
-    block: its cameras as good as they are known now, its datum and the sigmas of its positions as they are
-        borne out.
-    poses (images, 6): in the block's frame; NaN for images that are not oriented.
-    reasons: why not, for each image; empty for those that are.
-    """
-
-    block: Block
-    poses: Floats
-    reasons: tuple[str, ...]
-    findings: tuple[Finding, ...]
-
-
-def oriented(block: Block, tracks: Tracks) -> Placed:
+def oriented(block: Block, tracks: Tracks) -> tuple[Block, Floats, tuple[str, ...], list[Finding]]:
     """Orient the images of a block by tracks, and place them by control points, positions and attitudes.
 
+    returns: the block, its cameras as good as they are known now, its datum and the sigmas of its positions
+        as they are borne out; poses in its frame, (images, 6), NaN for images that are not oriented; why not,
+        for each image, empty for those that are; and what was found.
     raises IllPosedError: when no two images are oriented to each other.
     """
     frame = block_frame(block)
@@ -122,7 +109,7 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
         findings.append(Finding("positions-in-line", "doubtful", figures={"turn_deg": math.degrees(turn)}))
     if (determined or turn > 0) and block.datum == "control":
         block = replace(block, images=reweighted(block.images, poses, shifted=False))
-    return Placed(block, poses, tuple(reasons), tuple(findings))
+    return block, poses, tuple(reasons), findings
 
 
 def _rays(block: Block) -> Rays:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -50,6 +50,11 @@ class BaseFrame:
     def moved(self) -> FrameShift | None:
         """The shift that is applied; None where the base stays."""
         return self.shift if self.source is not None else None
+
+    def as_json(self) -> dict[str, Any]:
+        """Both frames, and the shift between them where it is known."""
+        plain = {"from": str(self.source), "to": str(self.target)}
+        return plain if self.moved is None else self.moved.as_json()
 
     def findings(self) -> Iterator[Finding]:
         """Say what a person should know of it."""

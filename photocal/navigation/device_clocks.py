@@ -1,7 +1,7 @@
 """The clocks of a flight against each other: autopilot, recording computer, GNSS receiver."""
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -198,16 +198,35 @@ class ComparedClocks:
     name: which two, and what told it.
     cycles: one model for each time that the device was switched on.
     constant_sigma_s: standard deviation of an error that all readings share.
+    start_host_ns (cycles,): arrival of the first reading of each cycle; empty where there is one.
     """
 
     name: str
     cycles: tuple[ClockModel, ...]
     constant_sigma_s: float = 0.0
+    start_host_ns: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @property
     def scatter_s(self) -> float:
         """Robust standard deviation of one reading, the largest of all stretches."""
         return max(s.scatter_s for model in self.cycles for s in model.segments)
+
+    @property
+    def sigma_s(self) -> float:
+        """Standard deviation of one reading, with what all readings share."""
+        return float(np.hypot(self.scatter_s, self.constant_sigma_s))
+
+    def convert(self, device_ns: Integers, host_ns: Integers) -> tuple[Integers, Floats]:
+        """Return the reference's time of readings that arrived at `host_ns`, and the standard deviation (s).
+
+        The scatter of single readings is part of it: an autopilot's clock is pulled to and fro by as much.
+        """
+        cycle = np.clip(np.searchsorted(self.start_host_ns, host_ns, side="right") - 1, 0, None)
+        time, sigma = np.zeros(len(device_ns), np.int64), np.zeros(len(device_ns))
+        for number, model in enumerate(self.cycles):
+            rows = cycle == number
+            time[rows], sigma[rows] = model.convert(device_ns[rows])
+        return time, np.hypot(sigma, self.sigma_s)
 
     @property
     def played_back(self) -> bool:
@@ -232,37 +251,8 @@ class ComparedClocks:
         }
 
 
-@dataclass(frozen=True)
-class AutopilotClock:
-    """UTC of an autopilot's time since boot, also over restarts.
-
-    compared: UTC by boot time, from SYSTEM_TIME, or through the recording computer.
-    start_host_ns (k,): arrival of the first reading of each cycle.
-    """
-
-    compared: ComparedClocks
-    start_host_ns: Integers
-
-    def utc(self, boot_ns: Integers, host_ns: Integers) -> tuple[Integers, Floats]:
-        """Return UTC (ns since 1970) of boot times that arrived at `host_ns`, and the standard deviation (s).
-
-        The scatter of single readings is part of it: an autopilot's clock is pulled to and fro by as much.
-        """
-        cycle = np.clip(np.searchsorted(self.start_host_ns, host_ns, side="right") - 1, 0, None)
-        time, sigma = np.zeros(len(boot_ns), np.int64), np.zeros(len(boot_ns))
-        for number, model in enumerate(self.compared.cycles):
-            rows = cycle == number
-            time[rows], sigma[rows] = model.convert(boot_ns[rows])
-        return time, np.hypot(sigma, self.sigma_s)
-
-    @property
-    def sigma_s(self) -> float:
-        """Standard deviation of one reading, with what all readings share."""
-        return float(np.hypot(self.compared.scatter_s, self.compared.constant_sigma_s))
-
-
-def autopilot_clock(boot_ns: Integers, utc_ns: Integers, host_ns: Integers) -> AutopilotClock | None:
-    """Fit an autopilot's UTC to its time since boot."""
+def autopilot_clock(boot_ns: Integers, utc_ns: Integers, host_ns: Integers) -> ComparedClocks | None:
+    """Fit an autopilot's UTC to its time since boot, also over restarts."""
     # Telemetry overtakes itself by fractions of a second; a clock that goes back by more was started anew.
     restart_ns = 5_000_000_000
     # An autopilot switched on anew counts from zero: its stretches must not be mixed.
@@ -277,8 +267,8 @@ def autopilot_clock(boot_ns: Integers, utc_ns: Integers, host_ns: Integers) -> A
         begins.append(int(host_ns[a]))
     if not cycles:
         return None
-    compared = ComparedClocks("autopilot's UTC by its time since boot (SYSTEM_TIME)", tuple(cycles))
-    return AutopilotClock(compared, np.array(begins, np.int64))
+    name = "autopilot's UTC by its time since boot (SYSTEM_TIME)"
+    return ComparedClocks(name, tuple(cycles), start_host_ns=np.array(begins, np.int64))
 
 
 def device_by_arrival(name: str, device_ns: Integers, host_ns: Integers) -> ComparedClocks | None:

@@ -20,7 +20,7 @@ from photocal.base.time_scales import SECOND_NS, WEEK_S
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.measurement.listed_positions import ListedPositions, judge_listed
-from photocal.navigation.device_clocks import AutopilotClock
+from photocal.navigation.device_clocks import ComparedClocks
 from photocal.navigation.flight_log import EXPOSURES, FlightLog
 from photocal.navigation.time import GpsTime, UtcTime, refuse_expired
 from photocal.navigation.trajectory import InterpolatedPositions
@@ -133,24 +133,15 @@ def counter_jumps(count: Integers, edge: str) -> list[str]:
     ]
 
 
-@dataclass(frozen=True)
-class LoggedExposures:
-    """What `/camera/exposure` of a flight log tells.
-
-    told: exposures that autopilot or camera reported, one `Events` per message.
-    marks: edges that were decoded when they were logged, by the link and the message that told them.
-    """
-
-    told: list[Events]
-    marks: dict[tuple[str, str], TimeMarks]
-
-
 @lru_cache(maxsize=1)
-def logged_exposures(log: FlightLog) -> LoggedExposures:
-    """Read the exposures of a flight log.
+def logged_exposures(log: FlightLog) -> tuple[list[Events], dict[tuple[str, str], TimeMarks]]:
+    """Read `/camera/exposure` of a flight log.
 
     Exposures without a device time are left out and counted: the time of receipt is not that of the
     exposure. An exposure that came twice (over two links) counts once.
+
+    returns: exposures that autopilot or camera reported, one `Events` per message; and edges that were
+        decoded when they were logged, by the link and the message that told them.
     """
     exposures: dict[str, dict[tuple[int, int], tuple[float, ...]]] = {}
     untimed: dict[str, int] = {}
@@ -172,10 +163,8 @@ def logged_exposures(log: FlightLog) -> LoggedExposures:
                     "run acquire recover",
                     where=log,
                 ) from damage
-    return LoggedExposures(
-        [_logged(source, rows, untimed.get(source, 0)) for source, rows in exposures.items()],
-        {told: _as_marks(rows) for told, rows in marks.items()},
-    )
+    told = [_logged(source, rows, untimed.get(source, 0)) for source, rows in exposures.items()]
+    return told, {source: _as_marks(rows) for source, rows in marks.items()}
 
 
 def _mark(number: int, row: dict[str, Any]) -> tuple[int, ...]:
@@ -227,7 +216,7 @@ def _logged(source: str, rows: dict[tuple[int, int], tuple[float, ...]], untimed
     return Events(source, time, stamp[:, 1], accuracy, remarks, values[:, 1:])
 
 
-def boot_exposures(log: FlightLog, link: str | None, clock: AutopilotClock) -> dict[str, Events]:
+def boot_exposures(log: FlightLog, link: str | None, clock: ComparedClocks) -> dict[str, Events]:
     """Return the exposures whose only device time is that since boot, by the message that told them."""
     dialect = ardupilotmega()
     by_message: dict[str, list[list[Integers]]] = {}
@@ -249,12 +238,12 @@ def boot_exposures(log: FlightLog, link: str | None, clock: AutopilotClock) -> d
     return {name: _placed(name, boot, host, number, clock) for name, (boot, host, number) in joined.items()}
 
 
-def _placed(name: str, boot: Integers, host: Integers, number: Integers, clock: AutopilotClock) -> Events:
-    utc, sigma = clock.utc(boot, host)
+def _placed(name: str, boot: Integers, host: Integers, number: Integers, clock: ComparedClocks) -> Events:
+    utc, sigma = clock.convert(boot, host)
     # An exposure that came twice, over two links, counts once.
     _, first = np.unique(np.stack([boot, number]), axis=1, return_index=True)
     order = first[np.argsort(utc[first], kind="stable")]
-    remarks = [*counter_jumps(number[order], name), f"{name}: placed by {clock.compared.name}"]
+    remarks = [*counter_jumps(number[order], name), f"{name}: placed by {clock.name}"]
     return Events(name, UtcTime(utc[order]).to_gps(), number[order], sigma[order], remarks)
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_picture, write_rows
-from photocal.base.geodesy import enu_axes, enu_offsets
+from photocal.base.geodesy import GeodeticPlace, enu_axes, enu_offsets
+from photocal.block.model import Block, Images
 from photocal.navigation.exposure_run import ExposureRun
 from photocal.navigation.exposure_sources import ELLIPSOIDAL
 from photocal.navigation.exposures import Exposures, Orientations, names_cell, orientations
@@ -245,30 +246,25 @@ def write_geopackage_of(
     path: Path, exposures: Exposures, rig: CameraOnBody, camera: str, changed_utc: str
 ) -> None:
     """Write the exposures with image and position for a GIS: WGS 84, angles in the topocentric frame."""
+    from photocal.exchange.exporting import Choices
     from photocal.exchange.geographic import topocentric, write_geopackage
-    from photocal.exchange.reconstruction import Origin, Reconstruction
     from photocal.geometry.camera import camera as nominal
 
     rows, xyz, (angles, covariance), frame = _oriented(exposures, rig, None)
-    origin = Origin(*frame["origin_lat_lon_height"])
+    origin = GeodeticPlace(*frame["origin_lat_lon_height"])
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))[:, [3, 4, 5, 0, 1, 2]]
     names = [exposures.images[row] for row in rows.tolist()]
     every = np.repeat(np.arange(len(rows)), [len(of_row) for of_row in names])
-    none = np.zeros(0, np.int64)
-    # Without points there are no footprints: the camera gives its name only.
-    given = Reconstruction(
-        (nominal(camera, "brown-ideal", "px", (2, 2), (1.0, 1.0), {"c": 1.0}),),
+    images = Images(
         tuple(name for of_row in names for name in of_row),
         np.zeros(len(every), np.int64),
         np.hstack([angles, xyz])[every],
-        (),
-        np.zeros((0, 3)),
-        none,
-        none,
-        np.zeros((0, 2)),
-        pose_sigma=sigma[every],
+        sigma[every],
     )
-    write_geopackage(path, given, topocentric(origin), changed_utc)
+    # Without points there are no footprints: the camera gives its name only.
+    unknown = nominal(camera, "brown-ideal", "px", (2, 2), (1.0, 1.0), {"c": 1.0})
+    given = Block("exposures", "local", "", "free", (unknown,), images)
+    write_geopackage(path, given, topocentric(origin), Choices(changed_utc=changed_utc))
 
 
 def write_run(

@@ -44,7 +44,7 @@ def events_of(
         marks = time_marks(rover.marks(), edge, rover.link, before, source)
         if len(marks):
             best_first.append(marks)
-    logged = {events.source: events for events in logged_exposures(sources.log).told if len(events)}
+    logged = {events.source: events for events in logged_exposures(sources.log)[0] if len(events)}
     clock_sigma_s = 0.0 if vehicle is None else vehicle.clock_sigma_s
     logged = {
         name: replace(events, accuracy_s=np.hypot(events.accuracy_s, clock_sigma_s))

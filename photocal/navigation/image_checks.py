@@ -208,12 +208,8 @@ def _inflation(error: Floats) -> Floats:
     return np.asarray((1 + r) / (1 - r))
 
 
-@dataclass(frozen=True)
-class TieMatching:
-    """How tie points of the images are found."""
-
-    plan: MatchingPlan
-    progress: Progress
+# How tie points of the images are found, and who is told how far that is.
+TieMatching = tuple[MatchingPlan, Progress]
 
 
 def check_oriented(
@@ -238,7 +234,7 @@ def check_images(
     names = exposures.first_images
     paths = [image.path for image in images if image.path is not None and image.name in names]
     try:
-        block = measure_images(paths, "images", how.plan, how.progress).block
+        block = measure_images(paths, "images", *how).block
     except PhotocalError as refusal:
         return [untested(CODE, "images-not-oriented", {"source": "tie-points", "reason": refusal.what})]
     made = block.images

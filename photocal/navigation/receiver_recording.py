@@ -156,7 +156,7 @@ class ReceiverRecording:
 def read_receivers(log: FlightLog) -> dict[str, ReceiverRecording]:
     """Read the raw frames of every receiver in a flight log; those of the same log are decoded once."""
     recordings: dict[str, ReceiverRecording] = {}
-    logged = logged_exposures(log).marks
+    _, logged = logged_exposures(log)
     for wire, messages in log.raw(*receiver_wires()):
         link = link_of(messages.channel)
         if link not in recordings:

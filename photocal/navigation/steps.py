@@ -18,7 +18,6 @@ from photocal.navigation.engine import Mode, Rtklib
 from photocal.navigation.exposure_files import write_run
 from photocal.navigation.exposure_run import ExposureChoices, ExposureRun, choices_of_project, run_exposures
 from photocal.navigation.flight_log import FlightLog
-from photocal.navigation.image_checks import TieMatching
 from photocal.navigation.options import ExposureOptions, PpkOptions, ReceiverOptions
 from photocal.navigation.ppk import PpkResult, options_for, process, with_antennas
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
@@ -215,7 +214,7 @@ def exposures(
     choices = replace(choices, oriented=None if asked.oriented is None else Path(asked.oriented))
     if asked.check_images:
         plan = MatchingPlan(cache_folder())
-        choices = replace(choices, ties=TieMatching(plan, progress))
+        choices = replace(choices, ties=(plan, progress))
     with tempfile.TemporaryDirectory() as scratch:
         return ExposuresOfFlight(run_exposures(choices, Rtklib(), Path(scratch)), choices.rig, camera, crs)
 

@@ -24,7 +24,7 @@ from photocal.base.errors import (
     reading,
 )
 from photocal.base.geodesy import enu_axes, geocentric, geodetic
-from photocal.geometry.realizations import FrameShift, Realization, known_realization, realization
+from photocal.geometry.realizations import Realization, known_realization, realization
 from photocal.geometry.systems import degrees_outside
 from photocal.navigation.base_frame import BaseFrame, decimal_year
 from photocal.navigation.baseline_network import Baseline, GroundMark, NetworkSolution, adjust_baselines
@@ -42,24 +42,6 @@ from photocal.navigation.rinex_files import navigation_ready, now, observations_
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory
 from photocal.project import AirAtBase
-
-
-@dataclass(frozen=True)
-class MovedMark:
-    """Frame and epoch of a mark's coordinates, and those to which they were transformed.
-
-    moved: None where they stay: nobody tells a frame, or nothing known leads to that of the survey.
-    """
-
-    mark: str
-    source: Realization
-    target: Realization
-    moved: FrameShift | None
-
-    def as_json(self) -> dict[str, object]:
-        """Figures for JSON."""
-        plain = {"from": str(self.source), "to": str(self.target)}
-        return {"mark": self.mark, **(plain if self.moved is None else self.moved.as_json())}
 
 
 def frame_told(mark: str, text: str, epoch: float = math.nan) -> Realization | None:
@@ -92,11 +74,11 @@ def frame_of_orbits(products: tuple[Path, ...]) -> Realization | None:
 
 def in_system(
     mark: GroundMark, source: Realization | None, crs: str | None, time: GpsTime | None = None
-) -> tuple[GroundMark, MovedMark | None]:
+) -> tuple[GroundMark, BaseFrame | None]:
     """Transform a mark to the frame of a system, with the uncertainty of the transformation.
 
     time: of the observations, at whose epoch a precise position counts.
-    returns: the mark, and what was done; None where nothing is to be done.
+    returns: the mark, and from which frame to which; None where nothing is to be done.
     """
     if source is None or crs is None:
         return mark, None
@@ -104,11 +86,10 @@ def in_system(
     known = BaseFrame.of(mark.xyz_m, source, crs, source.epoch if time is None else decimal_year(time))
     if known.target is None or known.source is None or known.source == known.target:
         return mark, None
-    done = MovedMark(mark.name, known.source, known.target, known.moved)
     if known.moved is None:
-        return mark, done
+        return mark, known
     spread = mark.covariance_m2 + known.moved.sigma_m**2 * np.eye(3)
-    return replace(mark, xyz_m=mark.xyz_m + known.moved.shift_m, covariance_m2=spread), done
+    return replace(mark, xyz_m=mark.xyz_m + known.moved.shift_m, covariance_m2=spread), known
 
 
 class KnownMark(Table):
@@ -246,7 +227,7 @@ class Survey:
         return None if self.setup.antex is None else self.folder / self.setup.antex
 
 
-def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]], list[MovedMark]]:
+def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]], list[dict[str, Any]]]:
     """Compute precise points, then the baselines one after the other, and adjust them.
 
     returns: also figures of each session, and what was taken from one frame to another.
@@ -280,7 +261,8 @@ def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]], l
         baselines.append(baseline)
         sessions.append(session)
         known.setdefault(ready.end, known[ready.start] + baseline.vector_m)
-    return adjust_baselines(baselines, control), sessions, [done for _, done in started if done is not None]
+    frames = [{"mark": mark.name, **done.as_json()} for mark, done in started if done is not None]
+    return adjust_baselines(baselines, control), sessions, frames
 
 
 def require_inside(setup: SurveySetup, held: Sequence[GroundMark]) -> None:

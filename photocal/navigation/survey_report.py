@@ -15,14 +15,13 @@ from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.frames import combined_factor, has_scale
 from photocal.navigation.baseline_network import NetworkSolution
 from photocal.navigation.exposure_files import in_frame
-from photocal.navigation.survey import MovedMark
 from photocal.navigation.trajectory import enu_axes_at
 
 COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "sXY", "sXZ", "sYZ", "role")
 
 
 def survey_figures(
-    solution: NetworkSolution, sessions: list[dict[str, Any]], frames: Sequence[MovedMark] = ()
+    solution: NetworkSolution, sessions: list[dict[str, Any]], frames: Sequence[dict[str, Any]] = ()
 ) -> dict[str, Any]:
     """Return the figures of a survey, ready for JSON."""
     per_baseline = {
@@ -36,7 +35,7 @@ def survey_figures(
             "schema": "photocal.survey/1",
             "marks": _marks(solution),
             "sessions": sessions,
-            "frames": [frame.as_json() for frame in frames],
+            "frames": list(frames),
             **picked(solution, "degrees_of_freedom", "sigma0_squared", "blunders", global_test="test"),
             "baselines": [
                 {
@@ -64,13 +63,13 @@ def _effects(solution: NetworkSolution, row: int) -> list[dict[str, Any]]:
 
 def _marks(solution: NetworkSolution) -> list[dict[str, Any]]:
     local = _local_covariances(solution)
-    confidence = ellipses(local, policy.confidence)
+    semi_axes, azimuth = ellipses(local, policy.confidence)
     columns = {
         "name": solution.names,
         **dict(zip(("lat_deg", "lon_deg", "height_m"), geodetic(solution.xyz_m), strict=True)),
         "sigma_enu_m": _sigma(local),
-        "ellipse_95_m": confidence.semi_axes,
-        "ellipse_azimuth_deg": np.degrees(confidence.azimuth),
+        "ellipse_95_m": semi_axes,
+        "ellipse_azimuth_deg": np.degrees(azimuth),
     }
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 

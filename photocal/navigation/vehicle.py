@@ -4,7 +4,7 @@ The autopilot's clock and that of the recording computer by TIMESYNC exchanges.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,6 @@ from photocal.base.time_scales import SECOND_NS
 from photocal.geometry.rotation import object_to_body
 from photocal.navigation.attitude import AttitudeTrack, rotations_of_quaternions
 from photocal.navigation.device_clocks import (
-    AutopilotClock,
     ComparedClocks,
     autopilot_clock,
     device_by_arrival,
@@ -85,7 +84,7 @@ def time_sync(boot_ns: Integers, host_ns: Integers, round_trip_ns: Integers) -> 
 
 def clock_through_host(
     boot_ns: Integers, host_ns: Integers, round_trip_ns: Integers, gnss: ComparedClocks
-) -> AutopilotClock | None:
+) -> ComparedClocks | None:
     """Return the UTC of an autopilot that does not tell it, by the recording computer and a GNSS receiver."""
     sync = time_sync(boot_ns, host_ns, round_trip_ns)
     if sync is None or sync.host_of_boot.played_back or gnss.played_back:
@@ -102,8 +101,7 @@ def clock_through_host(
         return None
     constant = float(np.hypot(sync.host_of_boot.constant_sigma_s, _RECEIVER_LATE_SIGMA_S))
     name = "autopilot's UTC by TIMESYNC and the epochs of a GNSS receiver"
-    compared = replace(sync.host_of_boot, name=name, cycles=(fitted,), constant_sigma_s=constant)
-    return AutopilotClock(compared, host_ns[:1])
+    return ComparedClocks(name, (fitted,), constant, host_ns[:1])
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,7 @@ class VehicleClocks:
     utc_told: whether the autopilot itself told UTC (SYSTEM_TIME).
     """
 
-    clock: AutopilotClock | None = None
+    clock: ComparedClocks | None = None
     sync: TimeSync | None = None
     compared: tuple[ComparedClocks, ...] = ()
     utc_told: bool = False
@@ -141,7 +139,7 @@ def vehicle_clocks(
         arrival = device_by_arrival(
             "autopilot's UTC by the recording computer's clock (SYSTEM_TIME)", utc[good], host[good]
         )
-        clocks += [c for c in (clock.compared if clock else None, arrival) if c is not None]
+        clocks += [compared for compared in (clock, arrival) if compared is not None]
         utc_told = clock is not None
     if exchanges is not None:
         host, _, fields = exchanges
@@ -152,7 +150,7 @@ def vehicle_clocks(
         clocks += [] if synced is None else [synced.host_of_boot]
         if clock is None and gnss is not None:
             clock = clock_through_host(boot, host[answered], trip, gnss)
-            clocks += [] if clock is None else [clock.compared]
+            clocks += [] if clock is None else [clock]
     return VehicleClocks(clock, synced, tuple(clocks), utc_told)
 
 
@@ -261,7 +259,7 @@ def _timed(received: Received | None, clocks: VehicleClocks) -> Received | None:
     host, device, fields = host[kept], device[kept], fields[kept]
     if clocks.clock is not None and len(host):
         millisecond_ns = 1_000_000
-        device, _ = clocks.clock.utc(fields["time_boot_ms"].astype(np.int64) * millisecond_ns, host)
+        device, _ = clocks.clock.convert(fields["time_boot_ms"].astype(np.int64) * millisecond_ns, host)
     _, first = np.unique(device, return_index=True)
     return host[first], device[first], fields[first]
 
@@ -361,7 +359,7 @@ def autopilot_time(track: VehicleTrack, host: HostTime) -> tuple[GpsTime, Floats
     clock, sync = track.clocks.clock, track.clocks.sync
     if sync is not None and clock is not None and not sync.host_of_boot.played_back:
         boot, sigma = sync.boot(host.ns)
-        utc, more = clock.utc(boot, host.ns)
+        utc, more = clock.convert(boot, host.ns)
         return UtcTime(utc).to_gps(), np.hypot(sigma, more)
     arrival = track.position_host.ns
     order = np.argsort(arrival, kind="stable")

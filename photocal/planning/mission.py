@@ -18,22 +18,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_folder, rows_text
+from photocal.base.geodesy import GeodeticPlace
 from photocal.planning.flight import Layout, PlannedFlight
 
 AUTOPILOTS = {"ardupilot": mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, "px4": mavlink.MAV_AUTOPILOT_PX4}
 VEHICLES = {"fixed-wing": mavlink.MAV_TYPE_FIXED_WING, "quadrotor": mavlink.MAV_TYPE_QUADROTOR}
-
-
-@dataclass(frozen=True)
-class Home:
-    """The take-off place.
-
-    height_m: above mean sea level, m.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    height_m: float
 
 
 @dataclass(frozen=True)
@@ -50,7 +39,7 @@ class Item:
     parameters: tuple[float | None, float | None, float | None, float | None, float, float, float]
 
 
-def mission_items(flight: PlannedFlight, home: Home, ground_height_m: float) -> tuple[Item, ...]:
+def mission_items(flight: PlannedFlight, home: GeodeticPlace, ground_height_m: float) -> tuple[Item, ...]:
     """Turn a flight into mission items."""
     raise_m = ground_height_m - home.height_m
     lowest = min(strip.height_m for strip in flight.strips) + raise_m
@@ -80,7 +69,7 @@ def mission_items(flight: PlannedFlight, home: Home, ground_height_m: float) -> 
 
 
 def qgroundcontrol_plan(
-    items: tuple[Item, ...], home: Home, speed_m_s: float, autopilot: str, vehicle: str
+    items: tuple[Item, ...], home: GeodeticPlace, speed_m_s: float, autopilot: str, vehicle: str
 ) -> dict[str, Any]:
     """Make the content of a QGroundControl `.plan` file."""
     return {
@@ -93,7 +82,7 @@ def qgroundcontrol_plan(
             "globalPlanAltitudeMode": 1,
             "hoverSpeed": speed_m_s,
             "items": [_plan_item(item, number) for number, item in enumerate(items, start=1)],
-            "plannedHomePosition": [home.latitude_deg, home.longitude_deg, home.height_m],
+            "plannedHomePosition": list(home),
             "vehicleType": _known(VEHICLES, vehicle, "vehicle"),
             "version": 2,
         },
@@ -102,12 +91,12 @@ def qgroundcontrol_plan(
     }
 
 
-def waypoint_file(items: tuple[Item, ...], home: Home) -> str:
+def waypoint_file(items: tuple[Item, ...], home: GeodeticPlace) -> str:
     """Make the content of a mission file of text lines (`QGC WPL 110`)."""
     first = Item(
         mavlink.MAV_CMD_NAV_WAYPOINT,
         mavlink.MAV_FRAME_GLOBAL,
-        (0.0, 0.0, 0.0, 0.0, home.latitude_deg, home.longitude_deg, home.height_m),
+        (0.0, 0.0, 0.0, 0.0, *home),
     )
     lines = ["QGC WPL 110"]
     for number, item in enumerate((first, *items)):
@@ -157,15 +146,14 @@ def write_plan(
     folder: Path,
     flight: PlannedFlight,
     layout: Layout,
-    takeoff: tuple[Home, float] | None,
+    takeoff: tuple[GeodeticPlace, float] | None,
     autopilot: str,
     vehicle: str,
     figures: dict[str, Any],
 ) -> tuple[str, ...]:
     """Write everything that a plan consists of.
 
-    takeoff: tuple of Home and float, or None. The take-off place, and the height of the ground of the area
-        above mean sea level, m.
+    takeoff: the take-off place, and the height of the ground of the area above mean sea level, m; or None.
     raises ConfigurationError: when the mission cannot be flown.
     raises OutputError: when the folder cannot be written.
     """
@@ -277,7 +265,7 @@ def at_speed(flight: PlannedFlight, speed_m_s: float) -> PlannedFlight:
     return replace(flight, request=replace(flight.request, speed_m_s=speed_m_s), levels=tuple(levels))
 
 
-def farthest_m(flight: PlannedFlight, home: Home, ground_height_m: float) -> float:
+def farthest_m(flight: PlannedFlight, home: GeodeticPlace, ground_height_m: float) -> float:
     """Give the slant distance from the take-off place to the farthest exposure, m."""
     place = flight.plane.to_plane(np.array([home.latitude_deg]), np.array([home.longitude_deg]))[0]
     raised = ground_height_m - home.height_m

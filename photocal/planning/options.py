@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError
 from photocal.base.options import Option, Options
 
@@ -141,6 +142,23 @@ class PrecisionOptions(Options):
         """Refuse a precision that cannot be."""
         if self.simulation and not (self.image_sigma_px > 0.0 and self.relief_m >= 0.0):
             raise ConfigurationError("image precision must be positive and relief not negative")
+
+    @property
+    def control_m(self) -> tuple[float, float]:
+        """Precision of control in plane and height, m; ConfigurationError for a text that is none."""
+        return _pair(self.control_sigma_m)
+
+    @property
+    def gnss_m(self) -> tuple[float, float] | None:
+        """Precision of positions in plane and height, m, None without; ConfigurationError as above."""
+        return None if self.gnss_sigma_m is None else _pair(self.gnss_sigma_m)
+
+
+def _pair(text: str) -> tuple[float, float]:
+    plane, height = numbers_of(text, "sigma", "PLANE,HEIGHT: metres, write 0.02,0.03")
+    if not (plane > 0.0 and height > 0.0):
+        raise ConfigurationError(f"a precision of {text} m is not positive", "write 0.02,0.03")
+    return plane, height
 
 
 @dataclass(frozen=True, kw_only=True)

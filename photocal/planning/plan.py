@@ -17,6 +17,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.base.arrays import Floats, picked
 from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError, IllPosedError
+from photocal.base.geodesy import GeodeticPlace
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json, finding_text
 from photocal.geometry.smear import SMEAR_LIMIT_PX, smear_px
@@ -30,9 +31,9 @@ from photocal.planning.flight import (
     plan_flight,
     suggest_layout,
 )
-from photocal.planning.mission import WIND_TEXT, Home, at_speed, farthest_m, in_wind, write_plan
+from photocal.planning.mission import WIND_TEXT, at_speed, farthest_m, in_wind, write_plan
 from photocal.planning.options import LimitOptions, MissionOptions, PrecisionOptions
-from photocal.planning.simulated_adjustment import PlannedSurvey, SimulatedPrecision, planned_network
+from photocal.planning.simulated_adjustment import SimulatedPrecision, planned_network
 
 SCHEMA = "photocal.plan/1"
 STAGES = ("product", "triangulation", "control points")
@@ -211,9 +212,9 @@ class Plan:
     targets: tuple[Target, ...]
     findings: tuple[Finding, ...]
     wind: dict[str, float] | None
-    takeoff: tuple[Home, float] | None
+    takeoff: tuple[GeodeticPlace, float] | None
     farthest_m: float | None
-    survey: PlannedSurvey | None
+    survey: PrecisionOptions | None
     precision: SimulatedPrecision | None
 
     def figures(self) -> dict[str, Any]:
@@ -324,7 +325,7 @@ def plan(
         notes = (*notes, Finding("radio-range", "doubtful", figures=figures))
     # Half a base keeps the points on several photos without leaving the corners.
     layout = suggest_layout(flight.corners_m, asked.control, asked.check, flight.levels[0].base_m / 2.0)
-    survey = survey_of(asked) if asked.simulation else None
+    survey = asked if asked.simulation else None
     return Plan(
         flight=flight,
         layout=layout,
@@ -338,27 +339,12 @@ def plan(
     )
 
 
-def survey_of(asked: PrecisionOptions) -> PlannedSurvey:
-    """Give the precision of the observations in numbers; ConfigurationError for texts that are none."""
-    positions = None if asked.gnss_sigma_m is None else _pair(asked.gnss_sigma_m)
-    return PlannedSurvey(
-        asked.image_sigma_px, _pair(asked.control_sigma_m), positions, asked.calibrate, asked.relief_m
-    )
-
-
-def _pair(text: str) -> tuple[float, float]:
-    plane, height = numbers_of(text, "sigma", "PLANE,HEIGHT: metres, write 0.02,0.03")
-    if not (plane > 0.0 and height > 0.0):
-        raise ConfigurationError(f"a precision of {text} m is not positive", "write 0.02,0.03")
-    return plane, height
-
-
-def _home(text: str) -> Home:
+def _home(text: str) -> GeodeticPlace:
     form = "LAT,LON,HEIGHT: degrees, metres above mean sea level"
     latitude, longitude, height = numbers_of(text, "--home", form)
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
         raise ConfigurationError(f"{text!r} is not a place on the earth", "latitude comes first")
-    return Home(latitude, longitude, height)
+    return GeodeticPlace(latitude, longitude, height)
 
 
 @dataclass(frozen=True)
@@ -414,7 +400,7 @@ def simulate_flights(plan: Plan, flights: int = 20, *, seed: int = 0) -> FlightE
     >>> bool((abs(errors.found_m / errors.promised_m - 1.0) < 0.5).all())
     True
     """
-    network, check = planned_network(plan.flight, plan.layout, plan.survey or PlannedSurvey())
+    network, check = planned_network(plan.flight, plan.layout, plan.survey or PrecisionOptions())
     if not len(check):
         raise IllPosedError("no check point is seen by two photos", "plan more overlap or more check points")
     variance = np.diagonal(adjust(network).point_covariance[check], axis1=1, axis2=2)

@@ -18,26 +18,9 @@ from photocal.geometry.rotation import matrix_from_angles
 from photocal.planning.area import grid
 from photocal.planning.flight import Layout, PlannedFlight
 from photocal.planning.frame import PlanningCamera
+from photocal.planning.options import PrecisionOptions
 
 SELF_CALIBRATION = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
-
-
-@dataclass(frozen=True)
-class PlannedSurvey:
-    """Precision of what will be observed.
-
-    image_px: standard deviation of an image coordinate, px.
-    control_m: of control points in plane and height, m.
-    gnss_m: of the exposures' positions in plane and height, m; None: no positions.
-    self_calibration: whether c, x0, y0, K1, K2, P1, P2 are estimated from the flight itself.
-    relief_m: height of the terrain above and below its mean, m.
-    """
-
-    image_px: float = 0.5
-    control_m: tuple[float, float] = (0.02, 0.03)
-    gnss_m: tuple[float, float] | None = None
-    self_calibration: bool = False
-    relief_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -62,7 +45,7 @@ class SimulatedPrecision:
     reason: str = ""
 
 
-def simulate(flight: PlannedFlight, layout: Layout, survey: PlannedSurvey) -> SimulatedPrecision:
+def simulate(flight: PlannedFlight, layout: Layout, survey: PrecisionOptions) -> SimulatedPrecision:
     """Adjust a planned flight."""
     network, check = planned_network(flight, layout, survey)
     method = "indirect" if survey.gnss_m is None else "integrated"
@@ -81,11 +64,13 @@ def simulate(flight: PlannedFlight, layout: Layout, survey: PlannedSurvey) -> Si
         *counts,
         tuple(np.sqrt(variance.mean(axis=0)).tolist()),
         tuple(np.sqrt(variance.max(axis=0)).tolist()),
-        camera_px if survey.self_calibration else {},
+        camera_px if survey.calibrate else {},
     )
 
 
-def planned_network(flight: PlannedFlight, layout: Layout, survey: PlannedSurvey) -> tuple[Network, Integers]:
+def planned_network(
+    flight: PlannedFlight, layout: Layout, survey: PrecisionOptions
+) -> tuple[Network, Integers]:
     """Make the network that the flight will give, free of errors."""
     poses = _poses(flight)
     frame = flight.request.frame
@@ -95,7 +80,7 @@ def planned_network(flight: PlannedFlight, layout: Layout, survey: PlannedSurvey
     height = survey.relief_m * np.sin(2 * np.pi * plane[:, 0] / length)
     height = height * np.cos(2 * np.pi * plane[:, 1] / length)
     xyz = np.column_stack([plane, height])
-    interior = planned_camera(frame, SELF_CALIBRATION if survey.self_calibration else ())
+    interior = planned_camera(frame, SELF_CALIBRATION if survey.calibrate else ())
     image, point, seen = visible_rays(poses, xyz, frame)
     keep = np.bincount(point)[point] >= 2
     # Photos at the ends of strips may see no ground of the area; four points orient a photo.
@@ -115,7 +100,7 @@ def planned_network(flight: PlannedFlight, layout: Layout, survey: PlannedSurvey
     pose_sigma = np.full((images, 6), np.inf)
     if survey.gnss_m is not None:
         pose_sigma[:, 3:] = [survey.gnss_m[0]] * 2 + [survey.gnss_m[1]]
-    precision = np.full((len(order), 2), survey.image_px * frame.pixel_m * 1e3)
+    precision = np.full((len(order), 2), survey.image_sigma_px * frame.pixel_m * 1e3)
     network = Network(
         (interior,),
         ExteriorOrientations(np.zeros(images, dtype=np.int64), poses[strong], pose_sigma),
@@ -178,13 +163,13 @@ def visible_rays(poses: Floats, xyz: Floats, frame: PlanningCamera) -> tuple[Int
     return np.concatenate(images), np.concatenate(points), np.vstack(seen)
 
 
-def to_json(result: SimulatedPrecision, survey: PlannedSurvey) -> dict[str, object]:
+def to_json(result: SimulatedPrecision, survey: PrecisionOptions) -> dict[str, object]:
     """Give a simulated adjustment as a JSON value."""
     axes = ("x", "y", "z")
-    given = {"image_sigma_px": "image_px", "control_sigma_m": "control_m", "gnss_sigma_m": "gnss_m"}
+    given = {"self_calibration": "calibrate", "control_sigma_m": "control_m", "gnss_sigma_m": "gnss_m"}
     return {
         **picked(result, "method", "images", "points", "rays", check_points="check"),
-        **picked(survey, "self_calibration", "relief_m", **given),
+        **picked(survey, "relief_m", "image_sigma_px", **given),
         "sigma_m": dict(zip(axes, result.mean_m, strict=False)) or None,
         "worst_sigma_m": dict(zip(axes, result.worst_m, strict=False)) or None,
         "camera_sigma_px": result.camera_px or None,

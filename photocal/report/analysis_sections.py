@@ -10,7 +10,7 @@ from photocal.analysis.outcome import Analysis, CameraAnalysis, Effect, Opinions
 from photocal.analysis.published import PublishedSet
 from photocal.base.arrays import Floats
 from photocal.findings.digits import Number, power_of_ten, symbol
-from photocal.findings.document import Column, Paragraph, Piece, Section, TablePart, columns
+from photocal.findings.document import Column, Paragraph, Piece, Section, TablePart, columns, said_table
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, finding_text, need_words
 from photocal.geometry.camera import Camera
@@ -25,12 +25,12 @@ def hidden_errors(run: AnalysedRun, say: Catalogue) -> Section:
     pieces: list[Piece] = [Paragraph(say("analysis.hidden_text"))]
     findings = run.analysis.findings
     if findings:
-        heads = columns(say, "analysis", "grade<", "finding<")
-        rows = tuple(
+        rows = (
             (say("analysis.small" if finding.small else "analysis.large"), finding_text(finding, say))
             for finding in findings
         )
-        pieces.append(TablePart(say("analysis.hidden_table"), heads, rows, widths=(0.14, 0.86)))
+        heads = ("grade<", "finding<")
+        pieces.append(said_table(say, "analysis.hidden_table", heads, rows, widths=(0.14, 0.86)))
     else:
         pieces.append(Paragraph(say("analysis.none_found")))
     pieces.append(Paragraph(_sigma(run, run.analysis, say)))
@@ -112,23 +112,21 @@ def _correlations(
 
 def _components(record: CameraAnalysis, say: Catalogue) -> list[Piece]:
     final = record.components.final
-    heads = columns(say, "analysis", "component<", "eigenvalue", "share [%]", "cumulative [%]")
-    rows = tuple(
+    heads = ("component<", "eigenvalue", "share [%]", "cumulative [%]")
+    rows = (
         (str(n), say.fixed(value, 4), say.fixed(share, 2), say.fixed(total, 2))
         for n, (value, share, total) in enumerate(
             zip(final.eigenvalues, final.percent, final.cumulative_percent, strict=True), start=1
         )
     )
     remarks = " ".join(finding_text(remark, say) for remark in record.components.remarks)
-    return [TablePart(say("analysis.components"), heads, rows), Paragraph(remarks)]
+    return [said_table(say, "analysis.components", heads, rows), Paragraph(remarks)]
 
 
 def _left_out(record: CameraAnalysis, camera: Camera, say: Catalogue) -> TablePart:
-    first, *others = columns(
-        say, "analysis", "without<", f"change_of_c [{camera.unit}]", "variance_factor", "rmse [mm]"
-    )
+    heads = (f"change_of_c [{camera.unit}]", "variance_factor", "rmse [mm]")
     none = say("word.none")
-    rows = tuple(
+    rows = (
         (
             symbol(left.parameter),
             say.significant(left.c, 7),
@@ -138,7 +136,7 @@ def _left_out(record: CameraAnalysis, camera: Camera, say: Catalogue) -> TablePa
         )
         for left in record.left_out
     )
-    return TablePart(say("analysis.left_out"), (first, Column("c", camera.unit), *others), rows)
+    return said_table(say, "analysis.left_out", ("without<", Column("c", camera.unit), *heads), rows)
 
 
 def _checks(rmse_m: Floats | tuple[float, ...] | None, say: Catalogue) -> str:
@@ -154,7 +152,7 @@ def _jackknife(record: Opinions, camera: Camera, say: Catalogue) -> TablePart:
         # Coefficients have any power of ten: three digits and the exponent, as Python writes them.
         return f"{value:.3g}".replace(".", say.mark) if math.isfinite(value) else say("word.none")
 
-    rows = tuple(
+    rows = (
         (
             symbol(name),
             small(camera.sigma_of(name)),
@@ -166,12 +164,12 @@ def _jackknife(record: Opinions, camera: Camera, say: Catalogue) -> TablePart:
         for name, error in record.standard_error.items()
     )
     note = say("analysis.jackknife_note", count=len(record.left_out))
-    return TablePart(say("analysis.jackknife"), columns(say, "analysis", *heads), rows, note)
+    return said_table(say, "analysis.jackknife", heads, rows, note)
 
 
 def method_check(analysis: Analysis, say: Catalogue) -> Section:
     """Say what each method of calibration asks for and what the network has."""
-    heads = columns(say, "analysis", "method_name<", "requirement<", "found<", "needed<", "met<")
+    heads = ("method_name<", "requirement<", "found<", "needed<", "met<")
     rows, advice = [], list[str]()
     for method in analysis.methods:
         for need in method.requirements:
@@ -181,9 +179,8 @@ def method_check(analysis: Analysis, say: Catalogue) -> Section:
             rows.append((name, words["name"], words["found"], words["needed"], met))
             if need.severity != "passed" and words["advice"] not in advice:
                 advice.append(words["advice"])
-    table = TablePart(
-        say("analysis.method_table"), heads, tuple(rows), widths=(0.17, 0.27, 0.22, 0.24, 0.1), dense=True
-    )
+    widths = (0.17, 0.27, 0.22, 0.24, 0.1)
+    table = said_table(say, "analysis.method_table", heads, rows, widths=widths, dense=True)
     kept = {True: say("analysis.satisfied"), False: say("analysis.not_satisfied")}
     named = ((say(f"calibration_method.{method.method}"), kept[method.met]) for method in analysis.methods)
     methods = "; ".join(": ".join(pair) for pair in named)
@@ -200,19 +197,9 @@ def calibrated(run: AnalysedRun, say: Catalogue) -> list[Section]:
         rows = []
         for key in camera.free:
             sigma, whose = run.stated(name, key)
-            value, unit = (
-                say.measured(camera.value(key), sigma),
-                camera.unit if key in ("c", "x0", "y0") else "",
-            )
-            rows.append(
-                (
-                    symbol(key),
-                    value.value,
-                    value.sigma,
-                    power_of_ten(value.exponent, unit),
-                    say(f"whose.{whose}"),
-                )
-            )
+            value = say.measured(camera.value(key), sigma)
+            unit = power_of_ten(value.exponent, camera.unit if key in ("c", "x0", "y0") else "")
+            rows.append((symbol(key), value.value, value.sigma, unit, say(f"whose.{whose}")))
         heads = columns(say, "analysis", "parameter<", "estimate", "formal", "unit<", "of<")
         listed.append(Section(name, (TablePart("", heads, tuple(rows)),) if rows else ()))
     return listed
@@ -233,14 +220,8 @@ def analysed(run: AnalysedRun, say: Catalogue) -> list[Section]:
 
 def _lenses(camera: Camera, analysis: Analysis, say: Catalogue) -> list[TablePart]:
     """Models of the lens that were compared."""
-    heads = (
-        "lens_model<",
-        "terms<",
-        "chi_squared",
-        "left_out_sigma",
-        f"change_of_c [{camera.unit}]",
-        "rmse [mm]",
-    )
+    heads = ("lens_model<", "terms<", "chi_squared", "left_out_sigma")
+    more = (f"change_of_c [{camera.unit}]", "rmse [mm]")
     rows = tuple(
         (
             fit.model,
@@ -252,9 +233,7 @@ def _lenses(camera: Camera, analysis: Analysis, say: Catalogue) -> list[TablePar
         )
         for fit in analysis.lens_models[camera.id]
     )
-    return (
-        [TablePart(say("analysis.lenses"), columns(say, "analysis", *heads), rows)] if len(rows) > 1 else []
-    )
+    return [said_table(say, "analysis.lenses", (*heads, *more), rows)] if len(rows) > 1 else []
 
 
 def _within(camera: Camera, analysis: Analysis, say: Catalogue) -> list[TablePart]:

@@ -17,6 +17,7 @@ from photocal.findings.document import (
     Section,
     TablePart,
     columns,
+    said_table,
 )
 from photocal.findings.texts import Catalogue
 from photocal.report.camera_sections import ROWS
@@ -34,7 +35,7 @@ def method(title: str, run: AnalysedRun, say: Catalogue) -> Section:
     models = sorted({camera.model for camera in result.cameras.values()})
     texts = [say("method.text"), *(say(f"method.model_{m.removeprefix('brown-')}") for m in models)]
     pieces: list[Piece] = [Paragraph(" ".join([*texts, _terms(run, say)])), _block_facts(run, say)]
-    heads = columns(say, "method", "group<", "group_n", "group_chi2", "group_redundancy", "group_factor")
+    heads = ("group<", "group_n", "group_chi2", "group_redundancy", "group_factor")
     rows = tuple(
         (
             say(f"group.{g.name}") if f"group.{g.name}" in say.messages else g.name,
@@ -46,7 +47,7 @@ def method(title: str, run: AnalysedRun, say: Catalogue) -> Section:
         for g in result.groups
     )
     if rows:
-        pieces.append(TablePart(say("method.groups"), heads, rows))
+        pieces.append(said_table(say, "method.groups", heads, rows))
     return Section(title, tuple(pieces))
 
 
@@ -119,8 +120,11 @@ def relative_orientations(title: str, run: AnalysedRun, say: Catalogue) -> tuple
         return ()
     quantities = [(name, "mm") for name in "xyz"] + [(name, "(°)") for name in ("rx", "ry", "rz")]
     quantities.append(("t", "ms"))
-    heads_of = [*columns(say, "heads", "camera<", "exposures")]
-    heads_of += [Column(name, unit) for name, unit in quantities]
+    heads_of: list[str | Column] = [
+        "camera<",
+        "exposures",
+        *(Column(name, unit) for name, unit in quantities),
+    ]
     heads_of += [Column(f"σ {name}", unit.replace("(°)", "(″)")) for name, unit in quantities]
     rows, strong = [], []
     for head in heads:
@@ -141,7 +145,7 @@ def relative_orientations(title: str, run: AnalysedRun, say: Catalogue) -> tuple
             if abs(matrix[i, j]) > 0.9
         ]
     note = say("heads.note") + (" " + say("heads.strong", pairs="; ".join(strong)) if strong else "")
-    return (Section(title, (TablePart(say("heads.table"), tuple(heads_of), tuple(rows), note, dense=True),)),)
+    return (Section(title, (said_table(say, "heads.table", heads_of, rows, note, dense=True),)),)
 
 
 def exterior_orientation(title: str, run: AnalysedRun, say: Catalogue) -> Section:
@@ -209,9 +213,9 @@ def check_points(title: str, run: AnalysedRun, say: Catalogue) -> Section:
     lengths = [_check_lengths(run, say)] if checks.lengths else []
     if checks.n == 0:
         return Section(title, (Paragraph(say("checks.none")), *lengths))
-    heads = [(f"Δ{axis}", "mm") for axis in "XYZ"]
-    heads += [(say(f"checks.{key}", axis=axis), "mm") for key in ("adjusted", "surveyed") for axis in "XYZ"]
-    shown = (*columns(say, "checks", "point<"), *(Column(*head) for head in heads))
+    heads = [f"Δ{axis}" for axis in "XYZ"]
+    heads += [say(f"checks.{key}", axis=axis) for key in ("adjusted", "surveyed") for axis in "XYZ"]
+    shown: tuple[str | Column, ...] = ("point<", *(Column(head, "mm") for head in heads))
     stated = np.array([s for p in checks.points for s in (p.sx, p.sy, p.sz) if s > 0.0])
     decimals = min(_decimals(1e3 * stated), 3) if stated.size else 1
     rows = [
@@ -226,7 +230,7 @@ def check_points(title: str, run: AnalysedRun, say: Catalogue) -> Section:
     rmse = (say.fixed(1e3 * (checks.rmse_m[axis] or 0.0), decimals) for axis in "xyz")
     rows.append((say("checks.rmse"), *rmse, *[""] * 6))
     note = say("checks.note", n=checks.n) + (say("checks.scaled") if factor else "")
-    table = TablePart(say("checks.table"), shown, tuple(rows), note, dense=True)
+    table = said_table(say, "checks.table", shown, rows, note, dense=True)
     return Section(title, (table, *lengths, *_check_figures(run, say)))
 
 
@@ -234,7 +238,7 @@ def _check_lengths(run: AnalysedRun, say: Catalogue) -> TablePart:
     """Known distances that took no part, after VDI/VDE 2634 part 1: the largest error is the figure."""
     lengths, factor = run.result.checks.lengths, run.result.scale
     lengths_of = ("known [mm]", "error [mm]", "adjusted_length [mm]", "known_sigma [mm]")
-    rows = [
+    rows = (
         (
             f"{length.first}–{length.second}",
             say.fixed(1e3 * length.known, max(decimals_of(1e3 * length.known_sigma), 0)),
@@ -243,11 +247,11 @@ def _check_lengths(run: AnalysedRun, say: Catalogue) -> TablePart:
             _both(1e3 * length.known_sigma, None, say),
         )
         for length in lengths
-    ]
+    )
     worst = max(lengths, key=lambda length: abs(length.error))
     largest = say.significant(1e3 * abs(worst.error), 3)
     note = say("checks.lengths_note", n=len(lengths), largest=largest, line=f"{worst.first}–{worst.second}")
-    return TablePart(say("checks.lengths"), columns(say, "checks", "line<", *lengths_of), tuple(rows), note)
+    return said_table(say, "checks.lengths", ("line<", *lengths_of), rows, note)
 
 
 def _both(sigma: float, factor: float | None, say: Catalogue) -> str:

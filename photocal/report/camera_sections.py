@@ -16,6 +16,7 @@ from photocal.findings.document import (
     Statement,
     TablePart,
     columns,
+    said_table,
 )
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
@@ -99,7 +100,7 @@ def interior_orientation(title: str, camera_id: str, run: AnalysedRun, say: Cata
     note = say("iop.note", critical=say.fixed(critical, 2))
     if len(further) > (factor is not None):
         note += say("iop.robust_note")
-    pieces: list[Piece] = [TablePart(say("iop.table"), columns(say, "iop", *heads), tuple(rows), note)]
+    pieces: list[Piece] = [said_table(say, "iop.table", heads, rows, note)]
     weak = [symbol(name) for name in insignificant(camera, run.result.degrees_of_freedom)]
     if weak:
         text = say("iop.insignificant", names=", ".join(weak))
@@ -154,15 +155,15 @@ def correlations(title: str, name: str, camera: Camera, say: Catalogue) -> Secti
     """Make the correlation matrix as a table, a picture and a sentence."""
     heads = [symbol(n) for n in camera.free]
     correlation = camera.correlation_of(camera.free)
-    shown = (Column("", align="left"), *(Column(head) for head in heads))
-    rows = tuple(
+    shown = (Column("", align="left"), *map(Column, heads))
+    rows = (
         (heads[i], *(say.fixed(row[j], 2) if j <= i else "" for j in range(len(heads))))
         for i, row in enumerate(correlation.tolist())
     )
     svg = correlation_picture(camera, say)
     texts = say("correlation.figure"), say("correlation.alternative")
     picture = PicturePart(f"correlation-{name}", *texts, svg, width=natural_width(svg))
-    table = TablePart(say("correlation.table"), shown, rows, dense=len(heads) > 9)
+    table = said_table(say, "correlation.table", shown, rows, dense=len(heads) > 9)
     return Section(title, (table, Paragraph(_strong(camera, say)), picture))
 
 
@@ -225,7 +226,7 @@ def _distortion_table(camera: Camera, corner: float, note: str, say: Catalogue) 
         row += [say.fixed(float(d) / pitch, 2), say.fixed(float(s) / pitch, 2)]
         row.append(say.fixed(1e3 * float(t), 1) if millimetres else say.fixed(float(t), 2))
         rows.append(tuple(row))
-    return TablePart(say("distortion.table"), columns(say, "distortion", *heads), tuple(rows), note)
+    return said_table(say, "distortion.table", heads, rows, note)
 
 
 def image_residuals(title: str, name: str, run: AnalysedRun, camera_id: str, say: Catalogue) -> Section:

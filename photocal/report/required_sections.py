@@ -1,7 +1,6 @@
 """Sections of a certificate that the ministry's report, a laboratory's accreditation and a client ask for."""
 
 import math
-from dataclasses import dataclass
 from typing import get_args
 
 from photocal.findings.digits import decimals_of
@@ -16,6 +15,7 @@ from photocal.findings.document import (
     TablePart,
     Tone,
     columns,
+    said_table,
 )
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, finding_text
@@ -125,10 +125,10 @@ def _budget(camera_id: str, run: AnalysedRun, particulars: Metadata, say: Catalo
     stated, whose = run.stated(camera_id)
     adjusted_sigma = max(math.sqrt(max(result.sigma0_squared or 1.0, 1.0)) * camera.sigma_of("c"), stated)
     factor = adjusted_sigma / camera.sigma_of("c") if camera.sigma_of("c") > 0.0 else 1.0
-    of_datum = _of_common_height(camera_id, run, particulars, say)
+    datum, what_of_datum, datum_is_known = _of_common_height(camera_id, run, particulars, say)
     entered: dict[Source, float] = {**particulars.uncertainty.of_c}
-    if of_datum.u is not None:
-        entered["datum"] = of_datum.u
+    if datum is not None:
+        entered["datum"] = datum
     # What images say together hangs on their number, not on that of the rays.
     images = max(
         int((result.images.camera == list(result.cameras).index(camera_id)).sum()) - len(camera.free), 1
@@ -136,7 +136,6 @@ def _budget(camera_id: str, run: AnalysedRun, particulars: Metadata, say: Catalo
     parts = [(adjusted_sigma, float(result.degrees_of_freedom if whose == "formal" else images))]
     parts += [(entered[key], math.inf) for key in ENTERED if key in entered]
     total, freedom, k = combined(parts)
-    source, kind_of, share_of = columns(say, "uncertainty", "source<", "type=", "share [%]")
 
     def row(key: str, kind: str, u: float | None) -> tuple[str, ...]:
         """Write one contribution to the uncertainty with its share."""
@@ -146,14 +145,14 @@ def _budget(camera_id: str, run: AnalysedRun, particulars: Metadata, say: Catalo
         return say(f"uncertainty.{key}"), kind, say.significant(u, 2), say.fixed(share, 1)
 
     rows = [row("adjustment", "A", adjusted_sigma), *(row(key, "B", entered.get(key)) for key in ENTERED)]
-    if of_datum.words:
+    if what_of_datum:
         at = 1 + ENTERED.index("datum")
         label, kind, u, share = rows[at]
-        rows[at] = (f"{label}, {of_datum.words}", kind, u if of_datum.u is not None else "", share)
+        rows[at] = (f"{label}, {what_of_datum}", kind, "" if datum is None else u, share)
     rows.append(row("combined", "", total))
     c = say.measured(camera.value("c"), k * total)
     note = say(
-        "uncertainty.note" if of_datum.known else "uncertainty.note_open",
+        "uncertainty.note" if datum_is_known else "uncertainty.note_open",
         c=c.value,
         u=c.sigma,
         unit=camera.unit,
@@ -161,44 +160,38 @@ def _budget(camera_id: str, run: AnalysedRun, particulars: Metadata, say: Catalo
         nu=f"{math.floor(freedom)}" if math.isfinite(freedom) else "∞",
         factor=say.fixed(factor, max(decimals_of(factor), 2)),
     )
+    source, kind_of, share_of = columns(say, "uncertainty", "source<", "type=", "share [%]")
     heads = (source, kind_of, Column("u", camera.unit), share_of)
     return TablePart(say("uncertainty.table", camera=camera_id), heads, tuple(rows), note)
 
 
-@dataclass(frozen=True)
-class _OfDatum:
+def _of_common_height(
+    camera_id: str, run: AnalysedRun, particulars: Metadata, say: Catalogue
+) -> tuple[float | None, str, bool]:
     """What an error that all GNSS heights share does to c.
 
-    u: standard uncertainty, in the unit of the camera; None without one, or where somebody states it.
-    words: what it is, beside the source.
-    known: whether nothing of it is unknown; no residual shows such an error, so that without it no
-        probability may be claimed.
+    returns: its standard uncertainty, in the unit of the camera, None without one, or where somebody states
+        it; what it is, beside the source; and whether nothing of it is unknown: no residual shows such an
+        error, so that without it no probability may be claimed.
     """
-
-    u: float | None = None
-    words: str = ""
-    known: bool = True
-
-
-def _of_common_height(camera_id: str, run: AnalysedRun, particulars: Metadata, say: Catalogue) -> _OfDatum:
     placed = any(group.name in ("position", "exposure") for group in run.result.groups)
     if not placed or "datum" in particulars.uncertainty.of_c:
-        return _OfDatum()
+        return None, "", True
     by_height = run.analysis.c_by_height if run.analysis else {}
     if camera_id not in by_height:
-        return _OfDatum(known=False)
+        return None, "", False
     per_metre, common = by_height[camera_id], particulars.uncertainty.common_height_m
     if per_metre is None:
-        return _OfDatum(words=say("uncertainty.in_adjustment"))
+        return None, say("uncertainty.in_adjustment"), True
     centimetres = say.as_given(round(100.0 * common, 3))
-    return _OfDatum(abs(per_metre) * common, say("uncertainty.common_height", cm=centimetres))
+    return abs(per_metre) * common, say("uncertainty.common_height", cm=centimetres), True
 
 
 def acceptance(title: str, facts: DerivedFigures, final: Finding, say: Catalogue) -> Section:
     """Set the figures against the ministry's limits."""
-    heads = columns(say, "acceptance", "quantity<", "value", "limit", "unit<", "met=")
+    heads = ("quantity<", "value", "limit", "unit<", "met=")
     met = {True: say("word.yes"), False: say("word.no"), None: say("ministry.not_determined")}
-    rows = tuple(
+    rows = (
         (
             say(f"acceptance.{limit.key}"),
             *(_maybe(value, say) for value in (limit.value, limit.limit)),
@@ -208,10 +201,8 @@ def acceptance(title: str, facts: DerivedFigures, final: Finding, say: Catalogue
         for limit in facts.limits
     )
     note = say("acceptance.note", dz=_centimetres(facts.dz_cm, say), gsd=_centimetres(facts.gsd_cm, say))
-    return Section(
-        title,
-        (acceptance_statement(facts, final, say), TablePart(say("acceptance.table"), heads, rows, note)),
-    )
+    table = said_table(say, "acceptance.table", heads, rows, note)
+    return Section(title, (acceptance_statement(facts, final, say), table))
 
 
 def acceptance_statement(facts: DerivedFigures, final: Finding, say: Catalogue) -> Statement:
@@ -238,9 +229,9 @@ def findings(title: str, plausibility: tuple[Finding, ...], say: Catalogue) -> S
     text = Paragraph(say("plausibility.text"))
     if not plausibility:
         return Section(title, (text, Paragraph(say("plausibility.none"))))
-    heads = columns(say, "plausibility", "severity<", "finding<")
-    rows = tuple((say(f"plausibility.{f.severity}"), finding_text(f, say)) for f in plausibility)
-    return Section(title, (text, TablePart(say("plausibility.table"), heads, rows, widths=(0.16, 0.84))))
+    rows = ((say(f"plausibility.{f.severity}"), finding_text(f, say)) for f in plausibility)
+    heads = ("severity<", "finding<")
+    return Section(title, (text, said_table(say, "plausibility.table", heads, rows, widths=(0.16, 0.84))))
 
 
 def equipment(title: str, particulars: Metadata, say: Catalogue) -> Section:
@@ -253,9 +244,9 @@ def equipment(title: str, particulars: Metadata, say: Catalogue) -> Section:
     pieces: list[Piece] = [KeyValues(rows), _offsets(particulars, say)]
     if particulars.equipment:
         keys = ("name", "manufacturer", "serial", "use", "calibration")
-        heads = columns(say, "equipment", *(f"{key}<" for key in keys))
-        listed = tuple(tuple(getattr(item, key) or missing for key in keys) for item in particulars.equipment)
-        pieces.append(TablePart(say("equipment.table"), heads, listed, widths=(0.2, 0.18, 0.14, 0.22, 0.26)))
+        listed = ([getattr(item, key) or missing for key in keys] for item in particulars.equipment)
+        heads, widths = [f"{key}<" for key in keys], (0.2, 0.18, 0.14, 0.22, 0.26)
+        pieces.append(said_table(say, "equipment.table", heads, listed, widths=widths))
     return Section(title, tuple(pieces))
 
 
@@ -264,23 +255,22 @@ def _offsets(particulars: Metadata, say: Catalogue) -> Piece:
     if system.lever_arm_cm is None and system.boresight_deg is None:
         return KeyValues(((say("equipment.offsets"), missing),))
     axes = ("X / ω", "Y / φ", "Z / κ")
-    heads = [*columns(say, "equipment", "offset<"), *map(Column, axes), *(Column(f"σ {a}") for a in axes)]
+    heads: tuple[str | Column, ...] = ("offset<", *map(Column, axes), *(Column(f"σ {a}") for a in axes))
     none = (None,) * 3
     table = {
         "lever_arm": (*(system.lever_arm_cm or none), *(system.lever_arm_sigma_cm or none)),
         "boresight": (*(system.boresight_deg or none), *(system.boresight_sigma_deg or none)),
     }
-    rows = tuple(
+    rows = (
         (say(f"equipment.{key}"), *(say("word.none") if v is None else say.as_given(v) for v in values))
         for key, values in table.items()
     )
-    return TablePart(say("equipment.offsets"), tuple(heads), rows)
+    return said_table(say, "equipment.offsets", heads, rows)
 
 
 def technical_report(title: str, context: Context) -> Section:
     """Fill the ministry's form."""
     say = context.say
-    heads = columns(say, "ministry", "item<", "field<", "value<", "origin<")
     rows = []
     for row in entries(read_layout(), context):
         # Only the letters of the form name an item; "table 1" or "planimetric" say where it stands.
@@ -288,10 +278,11 @@ def technical_report(title: str, context: Context) -> Section:
         item = f"{row.section} {letter}" if len(letter) == 1 and letter.isalpha() else row.section
         label = row.labels[say.language] + (f" [{row.unit}]" if row.unit else "")
         rows.append((item, label, row.value, say(f"ministry.origin_{row.origin}")))
-    corner_heads = columns(say, "ministry", "corner<", "column [px]", "line [px]", "x [mm]", "y [mm]")
-    table = TablePart(say("ministry.table"), heads, tuple(rows), widths=(0.11, 0.31, 0.44, 0.14))
+    heads, widths = ("item<", "field<", "value<", "origin<"), (0.11, 0.31, 0.44, 0.14)
+    table = said_table(say, "ministry.table", heads, rows, widths=widths)
+    heads_of_corners = ("corner<", "column [px]", "line [px]", "x [mm]", "y [mm]")
     note = say("ministry.corner_note")
-    of_corners = TablePart(say("ministry.corner_table"), corner_heads, corners(context), note)
+    of_corners = said_table(say, "ministry.corner_table", heads_of_corners, corners(context), note)
     return Section(title, (Paragraph(say("ministry.text")), table, of_corners))
 
 

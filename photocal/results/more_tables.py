@@ -8,7 +8,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 
-from photocal.adjustment.ellipses import ellipses, ellipsoids, hottier_factor, mean_precision, spheres
+from photocal.adjustment.ellipses import (
+    azimuth_and_elevation,
+    ellipses,
+    ellipsoids,
+    hottier_factor,
+    mean_precision,
+    spheres,
+)
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.reliability import reliability
@@ -143,17 +150,19 @@ def _photo_variant(block: Block, solution: Solution) -> dict[str, Any]:
 def _ellipses(
     block: Block, assembly: NetworkOfBlock, covariance: Floats, probability: float
 ) -> dict[str, Any]:
-    plane, space = ellipses(covariance, probability), ellipsoids(covariance, probability)
+    plane, azimuth = ellipses(covariance, probability)
+    space, directions = ellipsoids(covariance, probability)
+    azimuths, elevations = azimuth_and_elevation(directions)
     columns: dict[str, Any] = {
         "point": [block.points.names[j] for j in assembly.points],
-        "a": plane.semi_axes[:, 0],
-        "b": plane.semi_axes[:, 1],
-        "azimuth": np.degrees(plane.azimuth),
+        "a": plane[:, 0],
+        "b": plane[:, 1],
+        "azimuth": np.degrees(azimuth),
     }
     for k, axis in enumerate("123"):
-        columns["A" + axis] = space.semi_axes[:, k]
-        columns["azimuth" + axis] = np.degrees(space.azimuth[:, k])
-        columns["elevation" + axis] = np.degrees(space.elevation[:, k])
+        columns["A" + axis] = space[:, k]
+        columns["azimuth" + axis] = np.degrees(azimuths[:, k])
+        columns["elevation" + axis] = np.degrees(elevations[:, k])
     quadratic = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
     return {**columns, "sphere": spheres(space), "quadratic_sigma": quadratic}
 

@@ -55,17 +55,17 @@ def control_figures(project: Project) -> dict[str, Any]:
         except PhotocalError:
             # Its marks are named as those of a picture that cannot be used.
             continue
-    settled = settle_marks(marks, points.names, facts, pictures)
+    used, frame, unused, findings = settle_marks(marks, points.names, facts, pictures)
     strays = [stray.finding() for stray in stray_points(points, project.crs)]
-    lost, say = [finding for _, finding in settled.left_out], catalogue("en")
+    lost, say = [finding for _, finding in unused], catalogue("en")
     return {
         "schema": SCHEMA,
         "points": {role: int(points.of_role(role).sum()) for role in ("control", "check", "tie")},
         "marks": {
             "read": len(marks),
-            "used": len(settled.marks),
+            "used": len(used),
             "not_used": [sentence(finding, say, plain) for finding in lost],
-            "made_in": str(settled.frame),
+            "made_in": str(frame),
         },
-        **as_record([*strays, *settled.findings, *lost]),
+        **as_record([*strays, *findings, *lost]),
     }

@@ -242,17 +242,16 @@ def _other_program(path: Path, _: Sizes) -> ControlFile:
 
 def of_foreign(path: Path, block: Block) -> ControlFile:
     """Control, its marks and the cameras of another program's block."""
-    from photocal.exchange.reconstruction import of_block
+    from photocal.exchange.foreign_project import in_pixels
 
     surveyed = ~block.points.of_role("tie")
     if not surveyed.any():
         raise InputNotFoundError("has no control points", where=path)
-    given = of_block(block)
-    names = block.points.names
+    images, points, seen = block.images.names, block.points.names, in_pixels(block).observations
     marks = tuple(
-        Mark(given.image_names[i], names[j], x, y, (float(sx), float(sy)), path)
+        Mark(images[i], points[j], x, y, (sx, sy), path)
         for i, j, (x, y), (sx, sy) in zip(
-            given.image, given.point, given.pixels.tolist(), block.observations.sigma, strict=True
+            seen.image, seen.point, seen.values.tolist(), seen.sigma.tolist(), strict=True
         )
         if surveyed[j]
     )

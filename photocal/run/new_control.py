@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.mark_frames import (
     AS_STORED,
     FrameChoice,
-    FrameOffer,
     MarkFrame,
     choose_frame,
     inside,
@@ -50,7 +50,7 @@ class NewControl:
     height: str = ""
     height_is_assumed: bool = False
     frame: MarkFrame = AS_STORED
-    offers: tuple[FrameOffer, ...] = ()
+    offers: tuple[dict[str, Any], ...] = ()
     rows: int = 0
     rows_used: int = 0
     refused: list[str] = field(default_factory=list)

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.measurement.control_review import listed as some_names
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
 from photocal.measurement.maker_camera import HeadGroup, StatedCamera, group_cameras, stated_camera
-from photocal.measurement.mark_frames import AS_STORED, FrameOffer, parse_frame
+from photocal.measurement.mark_frames import AS_STORED, parse_frame
 from photocal.measurement.marks import named_after
 from photocal.measurement.picture_tests import judge_cameras, judge_pictures, told_beside
 from photocal.measurement.position_files import read_positions
@@ -59,7 +60,7 @@ class NewProject:
     rows_used: int = 0
     refused: tuple[str, ...] = ()
     changes: tuple[str, ...] = ()
-    frames: tuple[FrameOffer, ...] = ()
+    frames: tuple[dict[str, Any], ...] = ()
 
 
 def new_project(

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.block.model import ROLES, Block, Images, ObjectPoints
+from photocal.exchange.parts import pixels as in_px
 from photocal.geometry.camera import Camera, camera, plane_to_pixel
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import angles_from_matrix
@@ -40,7 +41,7 @@ def lens(k: int, rng: np.random.Generator) -> Camera:
     return camera(f"h{k}", "brown-ideal", "px", SIZE, (1.0, 1.0), values)
 
 
-def project(exposures: int, heads: int, rays: int) -> tuple[Reconstruction, Floats]:
+def project(exposures: int, heads: int, rays: int) -> tuple[Block, Floats]:
     """Crossing strips over a plain: the truth, measured with noise, and positions by GNSS (images, 3)."""
     rng = np.random.default_rng(3)
     cameras = tuple(lens(k, rng) for k in range(heads))
@@ -76,10 +77,11 @@ def project(exposures: int, heads: int, rays: int) -> tuple[Reconstruction, Floa
     xyz = ground[used] + ORIGIN + surveyed * rng.normal(0, SURVEY_M, (len(used), 3))
     measured = pixels[kept] + rng.normal(0, NOISE_PX, (int(kept.sum()), 2))
     names = tuple(f"H{head}_{k:04d}.JPG" for head in range(heads) for k in range(exposures))
-    made = Reconstruction(
-        cameras, names, member, np.column_stack([angles_from_matrix(rotation), centre + ORIGIN]),
-        tuple(str(1000 + k) for k in range(len(used))), xyz, image[kept], point, measured, roles,
-    )  # fmt: skip
+    poses = np.column_stack([angles_from_matrix(rotation), centre + ORIGIN])
+    role = np.array([ROLES.index("control" if word == "control" else "tie") for word in roles])
+    points = ObjectPoints(tuple(str(1000 + k) for k in range(len(used))), xyz, role=role)
+    rays_of = in_px(image[kept], point, measured)
+    made = Block("block", "local", "", "control", cameras, Images(names, member, poses), points, rays_of)
     return made, np.tile(place + ORIGIN + rng.normal(0, POSITION_M, place.shape), (heads, 1))
 
 
@@ -97,13 +99,13 @@ def main(name: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         params = Path(folder, "params")
         params.mkdir()
-        write_params(params, made, positions=positions, offset=np.round(made.poses[0, 3:]))
+        write_params(params, made, positions=positions, offset=np.round(made.images.values[0, 3:]))
         command = [sys.executable, "-m", "photocal", "adopt", str(params), "-o", str(Path(folder, "out"))]
         subprocess.run(command, check=True)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     print(
-        f"{len(made.image_names)} images, {len(made.image)} rays: {used.ru_utime + used.ru_stime:.1f} s of "
-        f"processor time, {used.ru_maxrss / 1024:.0f} MB"
+        f"{len(made.images.names)} images, {len(made.observations.image)} rays: "
+        f"{used.ru_utime + used.ru_stime:.1f} s of processor time, {used.ru_maxrss / 1024:.0f} MB"
     )
 
 

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from photocal.base.web import Address, serving
-from photocal.measurement.marking.service import application
+from photocal.desk.standing import marking_application
 from photocal.measurement.marking.store import MarkStore, scene_of_folder
 from photocal.measurement.marking.tiles import coarsest_level
 
@@ -42,13 +42,13 @@ def test_first_tile(pictures: Path, tmp_path: Path, benchmark: pytest.FixtureReq
 
     def fresh() -> tuple[tuple[str], dict[str, object]]:
         cache = tmp_path / str(next(caches))
-        app = application(scene, MarkStore(tmp_path / "marks.csv"), cache)
+        app = marking_application(scene, MarkStore(tmp_path / "marks.csv"), cache)
         server = serving(app, Address("127.0.0.1", 0))
         servers.append(server)
         return (server.__enter__(),), {}
 
     def ask(url: str) -> bytes:
-        with urllib.request.urlopen(f"{url}tiles/a.jpg/{level}/0/0") as answer:  # noqa: S310
+        with urllib.request.urlopen(f"{url}api/tiles/a.jpg/{level}/0/0") as answer:  # noqa: S310
             return bytes(answer.read())
 
     servers: list[object] = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 from tests.docs import (
     api_page,
     architecture_figure,
+    certificate_picture,
     command_pages,
     desk_pictures,
     evidence_page,
@@ -19,6 +20,7 @@ command_pages.main()
 architecture_figure.main()
 fault_page.main()
 desk_pictures.main()
+certificate_picture.main()
 monitor_picture.main()
 picture_page.main()
 api_page.main()

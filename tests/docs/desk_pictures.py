@@ -9,15 +9,22 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from photocal.base.progress import quiet
 from photocal.base.web import Address, serving
 from photocal.desk.standing import application
-from photocal.project import read_project
+from photocal.exchange.parts import Mark
+from photocal.measurement.marking.store import write_marks
+from photocal.project import NAME, read_project
 from photocal.run.campaign import run_project
 from photocal.run.new_project import new_project
 from tests.docs.shown import GUIDE
+from tests.photocal.measurement.marking.conftest import POINTS, fly
 from tests.photocal.run.typed_site import site_folder
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 ROOT = Path(__file__).parents[2]
 # What each step shows when it is there.
@@ -29,6 +36,9 @@ STEPS = {
     "certificate": "iframe.preview",
 }
 _PATIENCE_MS, _SETTLES_MS = 400_000, 3_000
+# What is marked wrong in the picture of the place Mark, and how far; sigma of the marks in column and row.
+_WRONG, _BESIDE_PX, _SIGMA_PX = ("p2.png", 4), 0.8, (0.03, 0.03)
+MARKING = ROOT / "docs" / "marking.png"
 # Where the sources lie differs from one computer to the next.
 _WITHOUT_PLACE = """root => {
     const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT)
@@ -86,7 +96,32 @@ def main() -> None:
             page.wait_for_timeout(_SETTLES_MS)
             page.evaluate(_WITHOUT_PLACE, str(ROOT))
             page.screenshot(path=GUIDE / f"desk-{step}.png")
+        marked_wrong(page)
         browser.close()
+
+
+def marked_wrong(page: Page) -> None:
+    """The place Mark: one mark lies beside its target, and an adjustment shows which."""
+    # The window shows the folder as it was typed.
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        survey = fly(Path("field"))
+        survey.file.rename(survey.folder / NAME)
+        marks = [
+            Mark(image, f"P{k + 1}", x + _BESIDE_PX * ((image, k + 1) == _WRONG), y, _SIGMA_PX, "")
+            for image in survey.site.names
+            for k in range(POINTS)
+            for x, y in [survey.truth(image, f"P{k + 1}")]
+        ]
+        write_marks(survey.folder / "marks.csv", marks)
+        app = application(survey.folder, Path("cache"), "mark")
+        with serving(app, Address("127.0.0.1", 0)) as url:
+            page.goto(f"{url}#/mark/P{_WRONG[1]}/{_WRONG[0]}")
+            page.locator(".marking[data-ready] .frame[data-loaded=true]").first.wait_for()
+            page.keyboard.press("a")
+            page.locator(".marking[data-adjusted]").wait_for()
+            page.keyboard.press("c")
+            page.wait_for_timeout(_SETTLES_MS)
+            page.screenshot(path=MARKING)
 
 
 if __name__ == "__main__":

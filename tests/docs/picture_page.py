@@ -9,7 +9,7 @@ from photocal.measurement.picture_facts import FACTS, Fact
 PAGE = Path(__file__).parents[2] / "docs" / "pictures.md"
 HEAD = """# What pictures say
 
-Made from the one table of facts (`photocal/measurement/picture_facts.py`). Pictures are asked before people
+Made from the one table of facts (`photocal/measurement/picture_facts.toml`). Pictures are asked before people
 are: what stands here is not typed again. Keys are tags of EXIF by their names, or properties of XMP; the
 first one that is written counts. A maker that is not in the table is left with EXIF, and with what he took
 over under the same names. XMP is read as text: entities are not expanded, nothing outside the picture is

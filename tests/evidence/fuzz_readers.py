@@ -41,11 +41,11 @@ from photocal.base.errors import PhotocalError
 from photocal.block.folder import read_block
 from photocal.cli import app
 from photocal.exchange.colmap import read_colmap
+from photocal.exchange.exporting import of_result
 from photocal.exchange.formats import FORMATS, read_foreign_block, read_foreign_project
 from photocal.exchange.ground_points import read_gcp_list, read_geo
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.opensfm import read_reconstruction
-from photocal.exchange.reconstruction import of_block, of_result
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import read_grey
 from photocal.navigation.engine import read_solution
@@ -183,7 +183,7 @@ def _foreign(run: Path, folder: Path) -> Iterator[Reader]:
     )
     for own in (params, *rigs):
         own.mkdir()
-    pix4d(params, of_result(read_result(run)))
+    pix4d(params, of_result(read_result(run))[0])
     (params / "field 3_camera.cam").write_text(SENSOR_LINE)
     archive = small_archive(folder, {})
     test_rigs.test_opensfm(rigs[0])
@@ -193,7 +193,7 @@ def _foreign(run: Path, folder: Path) -> Iterator[Reader]:
     yield Reader("archives", archive, read_foreign_block)
     for kind, own, read in (
         ("tables", params, read_foreign_project),
-        ("JSON", rigs[0], lambda p: of_block(read_reconstruction(p / "reconstruction.json"))),
+        ("JSON", rigs[0], lambda p: read_reconstruction(p / "reconstruction.json")),
         ("tables", rigs[1], read_colmap),
         ("JSON", rigs[2], read_colmap),
         ("XML", rigs[3], lambda p: read_metashape(next(p.glob("*.xml")))),

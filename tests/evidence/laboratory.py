@@ -22,7 +22,7 @@ from photocal.base.arrays import Floats
 from photocal.base.progress import quiet
 from photocal.geometry.camera import PARAMETERS
 from photocal.measurement.image_file import list_images
-from photocal.measurement.maker_camera import GivenLens
+from photocal.measurement.maker_camera import with_lens
 from photocal.measurement.target_block import measure_field
 from photocal.results.adjusted import adjust_block
 from tests.photocal.measurement.laboratory import (
@@ -58,9 +58,7 @@ def rendered() -> str:
         rows = [f"{a},{b},{v:.5f},{TAPE_SIGMA_M}" for a, b, v in tapes(lab, np.random.default_rng(3))]
         (place / "tape.csv").write_text("\n".join(["from,to,value,sigma", *rows]) + "\n", encoding="utf-8")
         paths = list_images(place / "pictures")
-        found = measure_field(
-            paths, "4x4_100", place / "tape.csv", "lab", GivenLens(), place / "cache", quiet
-        )
+        found = measure_field(paths, "4x4_100", place / "tape.csv", "lab", with_lens, place / "cache", quiet)
         (place / "block").mkdir()
         found.write(place / "block")
         own = adjust_block(place / "block", place / "run").cameras["camera"]

@@ -202,8 +202,9 @@ def by_click(_: str, seen: View, rng: np.random.Generator) -> Found:
     found = snap(seen.grey, (x, y), 12.0, bend=seen.bend)
     if found is None:
         return []
-    sx, sy = (np.sqrt(s**2 - COMMON_PX**2) for s in found.sigma)
-    return [(found.x, found.y, float(sx), float(sy), *seen.centre.tolist())]
+    _, centre = found
+    sx, sy = (np.sqrt(s**2 - COMMON_PX**2) for s in centre.sigma)
+    return [(centre.column, centre.row, float(sx), float(sy), *seen.centre.tolist())]
 
 
 def in_whole_image(kind: str, seen: View, _: np.random.Generator) -> Found:
@@ -214,8 +215,9 @@ def in_whole_image(kind: str, seen: View, _: np.random.Generator) -> Found:
     board = find_board(seen.grey, BOARD)
     if board is None:
         return []
-    truth = seen.place(2 * BOARD.points()[board.corners, :2] * [1, -1] - np.array(BOARD.inner) + [1, 1])
-    return [(c.column, c.row, *c.sigma, *t) for c, t in zip(board.centres, truth.tolist(), strict=True)]
+    corners, pixels, sigmas = board
+    truth = seen.place(2 * BOARD.points()[corners, :2] * [1, -1] - np.array(BOARD.inner) + [1, 1])
+    return list(map(tuple, np.hstack([pixels, sigmas, truth]).tolist()))
 
 
 WAYS: dict[str, Callable[[str, View, np.random.Generator], Found]] = {

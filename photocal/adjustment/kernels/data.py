@@ -87,9 +87,14 @@ class Values(NamedTuple):
 
 
 class Structure(NamedTuple):
-    """Structure of the reduced matrix, see `envelope.Envelope`.
+    """Structure of a matrix with a band and a border, in panels of columns, see `envelope`.
 
-    The first `lens` columns of the border belong to the cameras: the only ones that rays touch.
+    panel: columns in a panel (the last one may have fewer).
+    last (panels,): one past the last row of the band part of each panel.
+    width (panels + 1,): columns of each panel; the border is the last.
+    offset (panels + 2,): where each panel begins in the array of values; the border is the last but one.
+    band, border: columns of the band and of the border.
+    lens: of the border, the first ones, which belong to the cameras: the only ones that rays touch.
     """
 
     panel: int
@@ -98,7 +103,27 @@ class Structure(NamedTuple):
     offset: Integers
     band: int
     border: int
-    lens: int
+    lens: int = 0
+
+    @property
+    def size(self) -> int:
+        """Order of the matrix."""
+        return self.band + self.border
+
+    def panels(self, values: Floats) -> list[Floats]:
+        """Views of the panels, each (rows, columns); the border's own panel is the last."""
+        return [
+            values[self.offset[j] : self.offset[j + 1]].reshape(-1, w) if w else np.zeros((0, 0))
+            for j, w in enumerate(self.width)
+        ]
+
+    def start(self, j: int) -> int:
+        """First column of panel j."""
+        return j * self.panel
+
+    def zeros(self) -> Floats:
+        """Make the array of values of a matrix of this structure."""
+        return np.zeros(int(self.offset[-1]))
 
 
 class Eliminated(NamedTuple):

@@ -3,7 +3,7 @@
 The first pair of a model: two images that see much of the same from different places.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -103,20 +103,6 @@ def _pair_model(bearings: Bearings, first: int, second: int, pair: RelativeOrien
 DISTANCE = list(RELATIONS).index("distance")
 
 
-@dataclass(frozen=True)
-class StartValues:
-    """Start values.
-
-    exposures (images, 6): omega, phi, kappa in radians, X, Y, Z in m; NaN for images that were not reached.
-    points (points, 3): m; NaN for points whose rays do not meet well enough.
-    lost: images that were not reached.
-    """
-
-    exposures: Floats
-    points: Floats
-    lost: Integers
-
-
 def start_values(
     cameras: tuple[Camera, ...],
     camera_of: Integers,
@@ -126,7 +112,7 @@ def start_values(
     relations: Relations = NO_RELATIONS,
     *,
     free: bool = False,
-) -> StartValues:
+) -> tuple[Floats, Floats, Integers]:
     """Find the exterior orientation of images that have none, and the points that have no coordinates.
 
     Images that see enough known points are resected, points that oriented images see are intersected, and
@@ -140,6 +126,8 @@ def start_values(
         serves as control.
     points (points, 3): coordinates of control points, NaN for all others.
     relations: their distances give a free network its scale.
+    returns: exposures (images, 6), NaN for images that were not reached; points (points, 3), m, NaN for those
+        whose rays do not meet well enough; and the images that were not reached.
     """
     seen = bearings(cameras, camera_of, len(points), rays)
     model = empty_model(seen, points)
@@ -160,7 +148,7 @@ def start_values(
     new = model.oriented & ~complete
     result[new] = np.hstack([angles_from_matrix(model.rotation[new]), model.centre[new]])
     result[~model.oriented] = np.nan
-    return StartValues(result, model.points, np.flatnonzero(~model.oriented))
+    return result, model.points, np.flatnonzero(~model.oriented)
 
 
 def free_models(seen: Bearings) -> list[Model]:

@@ -3,9 +3,11 @@
 import { fill, h, sign } from "./dom.js";
 
 // Each step is a module with mount(element, context); it may return { leave() } and { route(parts) }.
-const STEPS = ["folder", "check", "run", "look", "certificate", "record"];
-const MODULES = Object.fromEntries(STEPS.map((name) => [name, `./steps/${name}.js`]));
-MODULES.look = "./look/look.js";
+const STEPS = ["folder", "check", "run", "look", "certificate"];
+const BESIDE = { mark: "✛", record: "●" };
+const PLACES = [...STEPS, ...Object.keys(BESIDE)];
+const MODULES = Object.fromEntries(PLACES.map((name) => [name, `./steps/${name}.js`]));
+for (const name of ["look", "mark"]) MODULES[name] = `./${name}/${name}.js`;
 const LANGUAGES = ["en", "pt-BR"];
 
 const texts = {};
@@ -25,8 +27,13 @@ export function say(key, values = {}) {
   return text.replace(/\{(\w+)\}/g, (whole, name) => values[name] ?? whole);
 }
 
-/** A refusal of the server, in the words of the command line. */
-export class Refusal extends Error {}
+/** A refusal of the server, in the words of the command line; `gone` where it cannot be asked any more. */
+export class Refusal extends Error {
+  constructor(message, gone = false) {
+    super(message);
+    this.gone = gone;
+  }
+}
 
 // What no step has caught stands where the command line stands; that nobody answers is told by the window.
 addEventListener("unhandledrejection", (event) => {
@@ -41,7 +48,7 @@ async function reached(asked) {
     answer = await asked;
   } catch {
     offline(true);
-    throw new Refusal(say("desk.gone"));
+    throw new Refusal(say("desk.gone"), true);
   }
   offline(false);
   return answer;
@@ -49,6 +56,7 @@ async function reached(asked) {
 
 async function answered(asked) {
   const answer = await reached(asked);
+  if (answer.status === 401) throw new Refusal(say("desk.token"), true);
   const value = (answer.headers.get("content-type") ?? "").startsWith("application/json") ? await answer.json() : {};
   if (!answer.ok) throw new Refusal(value.error ?? `${answer.status}`);
   return value;
@@ -127,7 +135,8 @@ function rail() {
       { href: `#/${name}`, "aria-current": name === here ? "step" : null },
       h("span.number", { "aria-hidden": "true" }, number),
       h("span.name", {}, say(`step.${name}`)),
-      sign(stands.state, stands.word ? say(stands.word) : ""),
+      // What is no step has nothing to come.
+      (stands.word || !BESIDE[name]) && sign(stands.state, stands.word ? say(stands.word) : ""),
     );
   };
   const rail = document.getElementById("rail");
@@ -137,8 +146,8 @@ function rail() {
   fill(
     rail,
     h("div.title", {}, h("b", {}, "photocal"), h("span", { title: state.root }, state.title ?? "")),
-    STEPS.slice(0, 5).map((name, k) => link(name, `${k + 1}`)),
-    h("div.rest", {}, link("record", "●")),
+    STEPS.filter(open).map((name, k) => link(name, `${k + 1}`)),
+    h("div.rest", {}, Object.keys(BESIDE).filter(open).map((name) => link(name, BESIDE[name]))),
     h(
       "button.small.language",
       { type: "button", lang: language === "en" ? "pt-BR" : "en", onclick: otherLanguage },
@@ -158,7 +167,12 @@ async function otherLanguage() {
 
 function place() {
   const [name, ...parts] = location.hash.replace(/^#\//, "").split("/").map(decodeURIComponent);
-  return { name: STEPS.includes(name) ? name : "", parts };
+  return { name: PLACES.includes(name) && open(name) ? name : "", parts };
+}
+
+// Pictures without a project have the place Mark alone.
+function open(name) {
+  return name in state.steps;
 }
 
 async function route(anew = false) {
@@ -186,7 +200,7 @@ async function route(anew = false) {
 }
 
 async function start() {
-  for (const path of ["/texts.json", "/look/texts.json"]) Object.assign(texts, await (await fetch(path)).json());
+  for (const path of ["/texts.json", "/look/texts.json", "/mark/texts.json"]) Object.assign(texts, await (await fetch(path)).json());
   await context.post("/api/language", { language });
   await context.renew();
   await reopen();
@@ -201,7 +215,7 @@ async function start() {
 // A program that was started again is shown the folder that was open.
 async function reopen() {
   const kept = localStorage.getItem(`folder ${state.root}`);
-  if (!kept || state.folder !== "." || kept === ".") return;
+  if (!kept || state.folder !== "." || kept === "." || state.next === "mark") return;
   await context.post("/api/open", { path: kept }).catch(() => localStorage.removeItem(`folder ${state.root}`));
   await context.renew();
 }

@@ -44,7 +44,8 @@ export function script(path) {
 
 /** Load a style sheet, once. */
 export function styles(path) {
-  loaded[path] ??= document.head.append(h("link", { rel: "stylesheet", href: path })) ?? true;
+  loaded[path] ??= new Promise((done) => document.head.append(h("link", { rel: "stylesheet", href: path, onload: done, onerror: done })));
+  return loaded[path];
 }
 
 const loaded = {};

@@ -81,10 +81,10 @@ def _spread(covariance: Floats) -> dict[str, Any]:
     """Ellipse in the plane, ellipsoid, and the standard deviation in height."""
     known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
     safe = np.where(known[:, None, None], covariance, 0.0)
-    flat, space = ellipses(safe, policy.confidence), ellipsoids(safe, policy.confidence)
+    semi_axes, directions = ellipsoids(safe, policy.confidence)
     return {
-        "ellipse": numbers(np.column_stack([flat.semi_axes, flat.azimuth]), 5),
-        "ellipsoid": numbers(np.column_stack([space.semi_axes, space.directions.reshape(-1, 9)]), 5),
+        "ellipse": numbers(np.column_stack(ellipses(safe, policy.confidence)), 5),
+        "ellipsoid": numbers(np.column_stack([semi_axes, directions.reshape(-1, 9)]), 5),
         "sigma_z_m": numbers(np.where(known, np.sqrt(safe[:, 2, 2]), np.nan), 5),
     }
 

@@ -8,18 +8,16 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
-from photocal.base.checked_toml import read_tables
 from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.base.web import checked
 from photocal.desk.session import Desk
+from photocal.desk.tiles import Pictures
 from photocal.desk.views import overview, pictures
 from photocal.desk.views.ground import Ground, ground_of, ground_tile
 from photocal.desk.views.plots import plots
 from photocal.desk.views.shown import Shown, adjusted_in, read_shown
 from photocal.findings.texts import LANGUAGES, catalogue
-from photocal.measurement.marking.service import MarkingService
-from photocal.measurement.marking.store import MarkStore, Picture, read_pictures, scene_of_project
-from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles, coarsest_level
+from photocal.measurement.marking.tiles import TILE_PX, coarsest_level
 from photocal.project import LeaveOutKeys
 from photocal.results.folder import RESULT
 from photocal.run.block import FINDINGS
@@ -35,15 +33,12 @@ class Look:
     A view is made once for each run: the map, plots and findings of a large block take a second each.
     """
 
-    def __init__(self, desk: Desk) -> None:
-        # Decoded pictures in memory: one is looked at, the others are thumbnails.
-        held_px = 25_000_000
-        self._desk, self._tiles = desk, Tiles(desk.cache, held_px=held_px)
+    def __init__(self, desk: Desk, pictures: Pictures) -> None:
+        self._desk, self._known_pictures = desk, pictures
         self._lock = threading.RLock()
         self._state: object = None
         self._shown: Shown | None = None
         self._views: dict[object, Any] = {}
-        self._pictures: tuple[object, dict[str, Picture]] = (None, {})
         self._ground: Ground | None = None
 
     def shown(self) -> Shown:
@@ -125,54 +120,11 @@ class Look:
         """Observations of one point."""
         return pictures.point(self.shown(), asked.get("name", ""))
 
-    def tile(self, image: str, place: tuple[int, int, int]) -> bytes:
-        """A tile of a picture of the project, by level, column and row; no other file is ever opened."""
-        picture = self._known_pictures().get(image)
-        missing = InputNotFoundError.at(image)
-        if picture is None:
-            raise missing("is no picture of this project", "choose one of the list")
-        if picture.reason:
-            raise missing(picture.reason, "choose another picture")
-        return self._tiles.tile(picture.path, TileAddress(*place))
-
     def ground(self, level: int, column: int, row: int) -> bytes:
         """A tile of the orthophoto that the map was told of."""
         if self._ground is None:
             raise InputNotFoundError("has no orthophoto", "photocal ortho makes one", where=self._desk.folder)
         return ground_tile(self._ground, level, column, row)
-
-    def tidy(self) -> None:
-        """Keep the tiles on disk within their bounds."""
-        self._tiles.tidy()
-
-    def _known_pictures(self) -> dict[str, Picture]:
-        """The pictures by name; read again when their folder has changed."""
-        # What is asked of the project keeps nobody from its pictures.
-        named = read_tables(self._desk.file).get("images", {}).get("folder", "")
-        folder = self._desk.folder / str(named)
-        # It may be a pattern of names.
-        where = folder if folder.is_dir() else folder.parent
-        if not named or not where.is_dir():
-            return {}
-        state = (folder, where.stat().st_mtime_ns)
-        with self._lock:
-            if self._pictures[0] != state:
-                self._pictures = state, read_pictures(folder)
-            return self._pictures[1]
-
-    def marking(self) -> MarkingService:
-        """What marks points in the pictures of the project, by the orientation of its last run.
-
-        raises ConfigurationError: when the project names no table of marks.
-        """
-        self.shown()
-        with self._lock:
-            if "marking" not in self._views:
-                project = self._desk.project()
-                scene, marks = scene_of_project(project, adjusted_in(project.output))
-                self._views["marking"] = MarkingService(scene, MarkStore(marks), self._desk.cache)
-            made: MarkingService = self._views["marking"]
-        return made
 
     def left_out(self) -> dict[str, Any]:
         """What is left out by hand, and whether the last run knew it."""

@@ -37,6 +37,18 @@ class Residual:
 
 
 @dataclass(frozen=True)
+class TooFewMarks:
+    """An image that takes no part: marks of control points that it has, and that it needs."""
+
+    image: str
+    marks: int
+    needed: int
+
+    def __str__(self) -> str:
+        return f"{self.image} has {self.marks} of {self.needed} marks of control points that it needs"
+
+
+@dataclass(frozen=True)
 class AdjustedMarks:
     """What an adjustment of marks found.
 
@@ -47,7 +59,7 @@ class AdjustedMarks:
     residuals: tuple[Residual, ...]
     orientation: Orientation
     sigma0: float | None
-    left_out: tuple[str, ...]
+    left_out: tuple[TooFewMarks, ...]
 
 
 def adjust_marks(orientation: Orientation, points: ObjectPoints, marks: Sequence[Mark]) -> AdjustedMarks:
@@ -89,7 +101,7 @@ def adjust_marks(orientation: Orientation, points: ObjectPoints, marks: Sequence
 
 def block_of_marks(
     orientation: Orientation, points: ObjectPoints, marks: Sequence[Mark]
-) -> tuple[Block, tuple[str, ...]]:
+) -> tuple[Block, tuple[TooFewMarks, ...]]:
     """Make the block of those marks that can be adjusted."""
     none, free = np.zeros(len(PARAMETERS), dtype=np.bool_), np.full(len(PARAMETERS), np.inf)
     cameras = tuple(
@@ -116,7 +128,7 @@ def block_of_marks(
     marked = np.bincount(seen.image, minlength=len(control)) > 0
     usable = marked & (control >= needed)
     left_out = tuple(
-        f"{whole.images.names[i]} has {control[i]} of {needed[i]} marks of control points that it needs"
+        TooFewMarks(whole.images.names[i], int(control[i]), int(needed[i]))
         for i in np.flatnonzero(marked & ~usable)
     )
     ray = usable[seen.image]

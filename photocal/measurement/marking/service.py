@@ -9,24 +9,18 @@ from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, FiniteFloat
-from starlette.applications import Starlette
-from starlette.background import BackgroundTask
-from starlette.concurrency import run_in_threadpool
-from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
-from starlette.routing import Route
 
 from photocal.base.arrays import Floats
 from photocal.base.checked_toml import Table
-from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
-from photocal.base.web import checked, doing, packaged, refusal, telling
+from photocal.base.errors import ConfigurationError, InputNotFoundError
+from photocal.base.web import checked
 from photocal.block.model import ROLES
 from photocal.exchange.parts import Mark
 from photocal.measurement.image_file import Grey, read_grey
 from photocal.measurement.marking.adjustment import AdjustedMarks, adjust_marks
 from photocal.measurement.marking.snap import KINDS, Kind, snap
 from photocal.measurement.marking.store import MarkStore, Picture, Scene
-from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles
+from photocal.measurement.marking.tiles import TILE_PX, coarsest_level
 from photocal.measurement.marks import BY_HAND_PX
 from photocal.measurement.orientation import Orientation, ellipse, predict
 from photocal.measurement.target_centre import FLAT, ground_bend, measurable
@@ -34,13 +28,6 @@ from photocal.measurement.target_centre import FLAT, ground_bend, measurable
 FARTHEST_REACH_PX = 60.0
 # A name has something to see and nothing that breaks a line.
 _NAME = r"^[^\x00-\x1f\x7f]*[^\x00-\x20\x7f][^\x00-\x1f\x7f]*$"
-_FILES = {
-    "/": "marking.html",
-    "/marking.css": "marking.css",
-    "/marking.js": "marking.js",
-    "/view.js": "view.js",
-    "/tiles.js": "tiles.js",
-}
 
 
 class _Place(Table, strict=True):
@@ -60,8 +47,8 @@ class _Click(_Place):
 class MarkingService:
     """What lies on the table: the scene, its marks, and what the last adjustment found."""
 
-    def __init__(self, scene: Scene, store: MarkStore, cache: Path) -> None:
-        self._scene, self._store, self._tiles = scene, store, Tiles(cache)
+    def __init__(self, scene: Scene, store: MarkStore) -> None:
+        self._scene, self.store = scene, store
         self._adjusted: AdjustedMarks | None = None
         self._adjusted_marks: dict[tuple[str, str], tuple[float, float]] = {}
 
@@ -81,6 +68,7 @@ class MarkingService:
                     "width": picture.size_px[0],
                     "height": picture.size_px[1],
                     "turn": picture.turn_deg,
+                    "coarsest": coarsest_level(picture.size_px),
                     "reason": picture.reason,
                 }
                 for name, picture in scene.pictures.items()
@@ -93,8 +81,8 @@ class MarkingService:
 
     def state(self) -> dict[str, Any]:
         """Marks, and what the last adjustment said of them."""
-        marks = self._store.marks
-        undo, redo = self._store.history
+        marks = self.store.marks
+        undo, redo = self.store.history
         return {
             "marks": [
                 {"image": m.image, "point": m.point, "x": m.x, "y": m.y, "sx": m.sigma[0], "sy": m.sigma[1]}
@@ -159,14 +147,6 @@ class MarkingService:
         aside = max(abs(2 * seen["x"] / width - 1), abs(2 * seen["y"] / height - 1))
         return (-round(seen["probability"], 2), aside, name)
 
-    def tile(self, image: str, address: TileAddress) -> bytes:
-        """A tile of an image of the scene; no other file is ever opened."""
-        return self._tiles.tile(self._picture(image).path, address)
-
-    def tidy(self) -> None:
-        """Keep the tiles on disk within their bounds."""
-        self._tiles.tidy()
-
     def mark(self, body: bytes) -> dict[str, Any]:
         """Set a mark, on the centre of the target there if one is wanted and found."""
         click = checked(_Click, body)
@@ -179,7 +159,7 @@ class MarkingService:
                 f"point {click.point} is not in the table of points", "choose a point of the list"
             )
         place = (click.x, click.y)
-        snapped = None
+        snapped, kind = None, None
         if click.kinds:
             facts = path.stat()
             grey = _grey(path, facts.st_mtime_ns, facts.st_size)
@@ -187,12 +167,13 @@ class MarkingService:
             snapped = snap(grey, place, click.reach, click.kinds, self._scene.dictionaries, bend)
         sigma = (BY_HAND_PX, BY_HAND_PX)
         if snapped is not None:
-            place, sigma = (snapped.x, snapped.y), snapped.sigma
+            kind, centre = snapped
+            place, sigma = (centre.column, centre.row), centre.sigma
         # Decimals in marks.csv: what is shown is what is written.
         decimals = 4
         x, y, *sigmas = (round(value, decimals) for value in (*place, *sigma))
-        self._store.put(Mark(click.image, click.point, x, y, (sigmas[0], sigmas[1]), ""))
-        return self.state() | {"snapped": None if snapped is None else snapped.kind}
+        self.store.put(Mark(click.image, click.point, x, y, (sigmas[0], sigmas[1]), ""))
+        return self.state() | {"snapped": kind}
 
     @property
     def _orientation(self) -> Orientation | None:
@@ -214,23 +195,23 @@ class MarkingService:
     def remove(self, body: bytes) -> dict[str, Any]:
         """Take a mark away."""
         place = checked(_Place, body)
-        self._store.remove((place.image, place.point))
+        self.store.remove((place.image, place.point))
         return self.state()
 
     def undo(self) -> dict[str, Any]:
         """Take the last change back."""
-        return self._where(self._store.undo())
+        return self._where(self.store.undo())
 
     def redo(self) -> dict[str, Any]:
         """Make the change again that was taken back."""
-        return self._where(self._store.redo())
+        return self._where(self.store.redo())
 
     def _where(self, key: tuple[str, str] | None) -> dict[str, Any]:
         return self.state() | {"at": None if key is None else {"image": key[0], "point": key[1]}}
 
     def adjust(self) -> dict[str, Any]:
         """Adjust all marks in a process of its own, so that the page goes on."""
-        scene, marks = self._scene, self._store.marks
+        scene, marks = self._scene, self.store.marks
         if scene.orientation is None:
             raise ConfigurationError(
                 "the camera is not known", "open a project with [[camera]], or give --run"
@@ -238,7 +219,7 @@ class MarkingService:
         with ProcessPoolExecutor(1, get_context("spawn")) as pool:
             adjusted = pool.submit(adjust_marks, scene.orientation, scene.points, marks).result()
         self._adjusted, self._adjusted_marks = adjusted, {(m.image, m.point): (m.x, m.y) for m in marks}
-        return self.state() | {"left_out": list(adjusted.left_out)}
+        return self.state() | {"left_out": [vars(image) for image in adjusted.left_out]}
 
     def _picture(self, name: str) -> Picture:
         picture = self._scene.pictures.get(name)
@@ -253,36 +234,3 @@ class MarkingService:
 @lru_cache(maxsize=2)
 def _grey(path: Path, _changed: int, _size: int) -> Grey:
     return measurable(read_grey(path))
-
-
-def application(scene: Scene, store: MarkStore, cache: Path) -> Starlette:
-    """Return the page and what answers it."""
-    service = MarkingService(scene, store, cache)
-
-    async def images(request: Request) -> Response:
-        """Answer with the images that may show a point."""
-        return JSONResponse(await run_in_threadpool(service.images, request.query_params.get("point", "")))
-
-    async def tile(request: Request) -> Response:
-        """Answer with a tile of an image."""
-        asked = request.path_params
-        address = TileAddress(asked["level"], asked["column"], asked["row"])
-        made = await run_in_threadpool(service.tile, asked["image"], address)
-        # Nobody waits for the broom.
-        return Response(made, media_type="image/jpeg", background=BackgroundTask(service.tidy))
-
-    return Starlette(
-        routes=[
-            *packaged("photocal.measurement.marking", _FILES),
-            telling("/project", service.project),
-            telling("/state", service.state),
-            Route("/images", images),
-            Route("/tiles/{image}/{level:int}/{column:int}/{row:int}", tile),
-            doing("/mark", service.mark),
-            doing("/remove", service.remove),
-            doing("/undo", lambda _: service.undo()),
-            doing("/redo", lambda _: service.redo()),
-            doing("/adjust", lambda _: service.adjust()),
-        ],
-        exception_handlers={PhotocalError: refusal},
-    )

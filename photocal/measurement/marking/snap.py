@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -29,19 +29,6 @@ _BESIDE_PX, _BESIDE = 1.5, 0.13
 BLUNTEST_PX, BLUNTEST_PART = 1.6, 0.06
 
 
-@dataclass(frozen=True)
-class Snapped:
-    """A centre that was found.
-
-    x, y: column and row, px; the centre of the upper-left pixel is (0, 0).
-    """
-
-    x: float
-    y: float
-    sigma: tuple[float, float]
-    kind: Kind
-
-
 def snap(
     grey: Grey,
     place: tuple[float, float],
@@ -49,8 +36,8 @@ def snap(
     kinds: tuple[Kind, ...] = KINDS,
     dictionaries: tuple[str, ...] = DICTIONARIES,
     bend: Floats = FLAT,
-) -> Snapped | None:
-    """Find the centre of the target at a place."""
+) -> tuple[Kind, Centre] | None:
+    """Find the target at a place and its centre, whose covariance has what all targets have in common."""
     # All kinds and sizes are fitted; of those whose picture fits, the one that determines the centre best is
     # taken.
     if "code" in kinds:
@@ -117,9 +104,8 @@ def _variance(centre: Centre) -> float:
     return float(np.trace(centre.covariance))
 
 
-def _snapped(kind: Kind, centre: Centre) -> Snapped:
-    sx, sy = (math.hypot(s, COMMON_PX) for s in centre.sigma)
-    return Snapped(centre.column, centre.row, (sx, sy), kind)
+def _snapped(kind: Kind, centre: Centre) -> tuple[Kind, Centre]:
+    return kind, replace(centre, covariance=centre.covariance + COMMON_PX**2 * np.eye(2))
 
 
 def symmetric_place(

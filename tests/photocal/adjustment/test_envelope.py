@@ -8,18 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from photocal.adjustment.envelope import Envelope, dense, envelope, factorise, selected_inverse, solve
+from photocal.adjustment.envelope import dense, envelope, factorise, selected_inverse, solve
+from photocal.adjustment.kernels.data import Structure
 
 Floats = NDArray[np.float64]
 
 
-def positions(structure: Envelope) -> NDArray[np.bool_]:
+def positions(structure: Structure) -> NDArray[np.bool_]:
     """Elements that the structure keeps, below the diagonal and on it."""
     return np.asarray(np.tril(dense(structure, np.ones(int(structure.offset[-1]))) != 0))
 
 
 @st.composite
-def systems(draw: st.DrawFn) -> tuple[Envelope, Floats, Floats]:
+def systems(draw: st.DrawFn) -> tuple[Structure, Floats, Floats]:
     """A structure, its values and the same matrix in full; positive definite."""
     block = draw(st.sampled_from([1, 3, 6]))
     count = draw(st.integers(0, 30))
@@ -40,7 +41,7 @@ def systems(draw: st.DrawFn) -> tuple[Envelope, Floats, Floats]:
     return structure, packed(structure, full), full
 
 
-def packed(structure: Envelope, full: Floats) -> Floats:
+def packed(structure: Structure, full: Floats) -> Floats:
     """Values of a full matrix, column by column from their definition."""
     values = structure.zeros()
     last = [*structure.last.tolist(), structure.size]
@@ -55,7 +56,7 @@ def packed(structure: Envelope, full: Floats) -> Floats:
 
 @settings(max_examples=25)
 @given(systems())
-def test_packing_and_solution(system: tuple[Envelope, Floats, Floats]) -> None:
+def test_packing_and_solution(system: tuple[Structure, Floats, Floats]) -> None:
     structure, values, full = system
     assert dense(structure, values) == pytest.approx(full, abs=0)
     assert factorise(structure, values) == -1
@@ -67,7 +68,7 @@ def test_packing_and_solution(system: tuple[Envelope, Floats, Floats]) -> None:
 
 @settings(max_examples=25)
 @given(systems())
-def test_selected_inverse(system: tuple[Envelope, Floats, Floats]) -> None:
+def test_selected_inverse(system: tuple[Structure, Floats, Floats]) -> None:
     structure, values, full = system
     assert factorise(structure, values) == -1
     inverse = dense(structure, selected_inverse(structure, values))
@@ -78,7 +79,7 @@ def test_selected_inverse(system: tuple[Envelope, Floats, Floats]) -> None:
 @settings(max_examples=25)
 @given(systems(), st.data())
 def test_an_indefinite_matrix_is_noticed(
-    system: tuple[Envelope, Floats, Floats], data: st.DataObject
+    system: tuple[Structure, Floats, Floats], data: st.DataObject
 ) -> None:
     structure, _, full = system
     bad = data.draw(st.integers(0, structure.size - 1))

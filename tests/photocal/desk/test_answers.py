@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import shutil
 import time
@@ -22,7 +23,7 @@ from photocal.desk.jobs import FOLDER, Job, error_of
 from photocal.desk.running import told_stages
 from photocal.findings.finding import Finding
 from tests.conftest import Once
-from tests.photocal.desk.client import Answer, Client
+from tests.photocal.desk.client import Answer, Client, opened
 from tests.photocal.desk.conftest import HOSTILE, fresh
 from tests.photocal.run.typed_site import resized
 
@@ -212,6 +213,21 @@ def test_the_command_tells_how_the_steps_stand(
     assert (missing.code, "is not a folder" in missing.err) == (3, True)
 
 
+def test_marks_are_adjusted_after_a_run_without_a_geoid(finished: Path, tmp_path: Path) -> None:
+    """Heights of the map count from nobody knows where; the marks have a sigma of 0.2 px."""
+    folder = Path(shutil.copytree(finished, tmp_path / "site"))
+    with opened(folder, tmp_path / "cache") as client:
+        told = good(client.get("/api/mark/images?point=G5")).json
+        assert told["source"] == "adjustment"
+        marks = client.get("/api/mark/state").json["marks"]
+        adjusted = good(client.post("/api/mark/adjust")).json
+    assert len(adjusted["residuals"]) == len(marks) > 20
+    assert adjusted["left_out"] == []
+    lengths = [math.hypot(one["vx"], one["vy"]) for one in adjusted["residuals"]]
+    assert max(lengths) < 5 * 0.2
+    assert sum(length**2 for length in lengths) / len(lengths) < 2 * 0.2**2
+
+
 def test_sizes_of_marks_are_shown_in_the_pictures_and_chosen(window: Client, home: Path, once: Once) -> None:
     folder = fresh(once, home / "half", "desk-half", change=resized(0.5))
     good(window.post("/api/open", {"path": "half"}))
@@ -220,7 +236,7 @@ def test_sizes_of_marks_are_shown_in_the_pictures_and_chosen(window: Client, hom
     converted = (folder / "marks.csv").read_text()
     # The height is still asked for; the pictures are seen all the same.
     mark = told["frames"][0]["marks"][0]
-    assert good(window.get(f"/api/look/tiles/{mark['image']}/0/0/0")).headers["content-type"] == "image/jpeg"
+    assert good(window.get(f"/api/tiles/{mark['image']}/0/0/0")).headers["content-type"] == "image/jpeg"
     chosen = good(window.post("/api/new", {"marks": "1"})).json["said"]
     assert (chosen["marks"], chosen["frames"]) == ("1", told["frames"])
     assert (folder / "marks.csv").read_text() != converted

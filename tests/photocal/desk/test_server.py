@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from photocal.run.output_place import STAGES
 from tests.photocal.desk.client import Client, opened
 
 PAGE = Path(__file__).parents[3] / "photocal" / "desk" / "page"
@@ -75,6 +76,10 @@ def test_every_word_of_how_a_step_stands_is_in_the_catalogue() -> None:
     words |= {f"stands.found-{state}" for state in ("good", "warn", "bad")}
     assert len(words) > 10
     assert words <= texts().keys()
+
+
+def test_every_stage_has_its_name_in_the_catalogue() -> None:
+    assert {f"stage.{name}" for name in STAGES} <= texts().keys()
 
 
 def test_nothing_in_the_page_reads_text_as_html() -> None:

@@ -20,6 +20,7 @@ import pytest
 
 from tests.conftest import Once
 from tests.photocal.desk.conftest import HOSTILE, fresh
+from tests.photocal.desk.watch import AXE, watched
 from tests.photocal.run.typed_site import resized
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ expect = pytest.importorskip(
 
 PATIENCE_MS = 300_000
 expect.set_options(timeout=PATIENCE_MS)
-AXE = Path(__file__).parent / "vendor" / "axe.min.js"
 FIELD_LAPTOP = {"width": 1366, "height": 768}
 # Findings of axe-core that keep somebody from using the page.
 _SERIOUS = ("serious", "critical")
@@ -70,14 +70,10 @@ def page(browser: Browser, port: int) -> Iterator[Page]:
     context = browser.new_context(viewport=FIELD_LAPTOP, locale="en-US")  # type: ignore[arg-type]
     opened = context.new_page()
     opened.set_default_timeout(PATIENCE_MS)
-    problems: list[str] = []
-    opened.on("pageerror", lambda error: problems.append(str(error)))
-    opened.on("dialog", lambda dialog: problems.append(f"a name was run: {dialog.message}"))
-    ours = (f"http://127.0.0.1:{port}/", "data:", "blob:", "about:")
-    opened.on("request", lambda r: None if r.url.startswith(ours) else problems.append(r.url))
+    problems = watched(opened, f"http://127.0.0.1:{port}/")
     yield opened
     context.close()
-    assert problems == []
+    assert problems == [], problems
 
 
 def accessible(page: Page) -> None:

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.block.model import Block, Role
 from photocal.exchange.pinhole import Pinhole, to_pinhole, to_vision
-from photocal.exchange.reconstruction import Reconstruction
+from tests.photocal.exchange.conftest import of_role
 
 Floats = NDArray[np.float64]
 ERRORS_HEAD = (
@@ -36,7 +37,7 @@ def digits(values: Sequence[float] | Floats) -> list[str]:
 
 def write_params(
     folder: Path,
-    given: Reconstruction,
+    given: Block,
     *,
     name: str = "field 3",
     manual: Sequence[int] = (),
@@ -54,32 +55,32 @@ def write_params(
     marked points. system: WKT of the output system.
     """
     at = np.zeros(3) if offset is None else offset
-    adjusted = given.xyz if estimated is None else estimated
-    places = given.poses[:, 3:]
-    rotation, _ = to_vision(given.poses)
+    adjusted = given.points.values if estimated is None else estimated
+    places = given.images.values[:, 3:]
+    rotation, _ = to_vision(given.images.values)
     lenses = [to_pinhole(camera, "Pix4D")[0] for camera in given.cameras]
     pitches = [camera.pitch[0] if camera.unit == "mm" else 0.005 for camera in given.cameras]
     files = {
         "calibrated_camera_parameters.txt": _cameras(given, lenses, places - at, rotation),
         "calibrated_external_camera_parameters.txt": _table(
             "imageName X Y Z Omega Phi Kappa",
-            given.image_names,
-            np.column_stack([places, np.degrees(given.poses[:, :3])]),
+            given.images.names,
+            np.column_stack([places, np.degrees(given.images.values[:, :3])]),
             " ",
         ),
         "calibrated_external_camera_parameters_error.txt": _errors(
             given, places if positions is None else positions, accuracy_m
         ),
-        "calibrated_images_position.txt": _table("", given.image_names, places, ","),
+        "calibrated_images_position.txt": _table("", given.images.names, places, ","),
         "offset.xyz": " ".join(digits(at)),
         "measured_estimated_gcps_position.txt": _ground(given, manual, adjusted),
         "measured_gcps_position.txt": "\n".join(
-            " ".join(digits(given.xyz[k]))
-            for k in [*given.of_role("control"), *given.of_role("check"), *manual]
+            " ".join(digits(given.points.values[k]))
+            for k in [*of_role(given, "control"), *of_role(given, "check"), *manual]
         ),
         "estimated_gcps_position.txt": "\n".join(
-            ", ".join([given.point_names[k], *digits(adjusted[k])])
-            for k in [*given.of_role("control"), *given.of_role("check"), *manual]
+            ", ".join([given.points.names[k], *digits(adjusted[k])])
+            for k in [*of_role(given, "control"), *of_role(given, "check"), *manual]
         ),
         "pmatrix.txt": _pmatrix(given, lenses, places - at, rotation),
         "pix4d_calibrated_internal_camera_parameters.cam": _cam(lenses, pitches),
@@ -93,7 +94,7 @@ def write_params(
         folder / f"{name}_tp_bingo.txt",
         given,
         pitches,
-        {*given.of_role("control"), *given.of_role("check"), *manual},
+        {*of_role(given, "control"), *of_role(given, "check"), *manual},
     )
 
 
@@ -107,7 +108,7 @@ def _matrix(lens: Pinhole) -> Floats:
     return np.array([[lens.fx, 0, lens.cx + 0.5], [0, lens.fy, lens.cy + 0.5], [0, 0, 1]])
 
 
-def _cameras(given: Reconstruction, lenses: Sequence[Pinhole], places: Floats, rotation: Floats) -> str:
+def _cameras(given: Block, lenses: Sequence[Pinhole], places: Floats, rotation: Floats) -> str:
     head = "\n".join(
         [
             "fileName imageWidth imageHeight ",
@@ -121,20 +122,25 @@ def _cameras(given: Reconstruction, lenses: Sequence[Pinhole], places: Floats, r
         ]
     )
     rows = [head]
-    for k, name in enumerate(given.image_names):
-        lens = lenses[given.image_camera[k]]
+    for k, name in enumerate(given.images.names):
+        lens = lenses[given.images.camera[k]]
         width, height = lens.size_px
         numbers = [*_matrix(lens), [lens.k1, lens.k2, lens.k3], [lens.p1, lens.p2], places[k], *rotation[k]]
         rows += [f"{name} {width} {height}", *(" ".join(digits(row)) for row in numbers)]
     return "\n".join(rows)
 
 
-def _errors(given: Reconstruction, positions: Floats, accuracy_m: float) -> str:
+def _errors(given: Block, positions: Floats, accuracy_m: float) -> str:
     rows = [ERRORS_HEAD]
-    for k, name in enumerate(given.image_names):
-        which = given.image_camera[k]
+    for k, name in enumerate(given.images.names):
+        which = given.images.camera[k]
         width, height = given.cameras[which].size_px
-        cells = [*given.poses[k, 3:], *positions[k], *[accuracy_m] * 3, *np.degrees(given.poses[k, :3])]
+        cells = [
+            *given.images.values[k, 3:],
+            *positions[k],
+            *[accuracy_m] * 3,
+            *np.degrees(given.images.values[k, :3]),
+        ]
         cells += [0.004] * 3 + [0.002] * 3 + [0.99]
         rows.append(
             ", ".join([name, str(which), f"Own Camera{which}_20.0_{width}x{height} (RGB)(1)", *digits(cells)])
@@ -142,25 +148,25 @@ def _errors(given: Reconstruction, positions: Floats, accuracy_m: float) -> str:
     return "\n".join(rows)
 
 
-def _ground(given: Reconstruction, manual: Sequence[int], adjusted: Floats) -> str:
-    rays = np.bincount(given.point, minlength=len(given.xyz))
+def _ground(given: Block, manual: Sequence[int], adjusted: Floats) -> str:
+    rays = np.bincount(given.observations.point, minlength=len(given.points.values))
     rows = [GROUND_HEAD]
-    for k in [*given.of_role("control"), *given.of_role("check"), *manual]:
-        measured = given.xyz[k]
+    for k in [*of_role(given, "control"), *of_role(given, "check"), *manual]:
+        measured = given.points.values[k]
         if k in manual:
             measured = np.zeros(3) if k == manual[0] else measured - [0, 0, 0.28]
         weight = MANUAL if k in manual else SURVEYED
         rows.append(
-            ", ".join([given.point_names[k], *digits([*measured, *adjusted[k], weight]), str(rays[k])])
+            ", ".join([given.points.names[k], *digits([*measured, *adjusted[k], weight]), str(rays[k])])
         )
     return "\n".join(rows)
 
 
-def _pmatrix(given: Reconstruction, lenses: Sequence[Pinhole], places: Floats, rotation: Floats) -> str:
+def _pmatrix(given: Block, lenses: Sequence[Pinhole], places: Floats, rotation: Floats) -> str:
     rows = []
-    for k, name in enumerate(given.image_names):
+    for k, name in enumerate(given.images.names):
         turned = np.column_stack([rotation[k], -rotation[k] @ places[k]])
-        rows.append(" ".join([name, *digits((_matrix(lenses[given.image_camera[k]]) @ turned).ravel())]))
+        rows.append(" ".join([name, *digits((_matrix(lenses[given.images.camera[k]]) @ turned).ravel())]))
     return "\n".join(rows)
 
 
@@ -210,20 +216,21 @@ def _inpho(lenses: Sequence[Pinhole], pitches: Sequence[float]) -> str:
     return "\n".join(rows)
 
 
-def _bingo(path: Path, given: Reconstruction, pitches: Sequence[float], marked: set[int]) -> None:
-    names = [f"GCP_{name}" if k in marked else name for k, name in enumerate(given.point_names)]
-    order = np.argsort(given.image, kind="stable")
-    bounds = np.searchsorted(given.image[order], np.arange(len(given.image_names) + 1))
+def _bingo(path: Path, given: Block, pitches: Sequence[float], marked: set[int]) -> None:
+    names = [f"GCP_{name}" if k in marked else name for k, name in enumerate(given.points.names)]
+    order = np.argsort(given.observations.image, kind="stable")
+    bounds = np.searchsorted(given.observations.image[order], np.arange(len(given.images.names) + 1))
     with path.open("w", encoding="utf-8") as out:
-        for k, image in enumerate(given.image_names):
-            which = given.image_camera[k]
+        for k, image in enumerate(given.images.names):
+            which = given.images.camera[k]
             (width, height), pitch = given.cameras[which].size_px, pitches[which]
             out.write(f"{Path(image).stem} H{which}_{width * pitch:.4f}_{height * pitch:.4f}\n")
             rays = order[bounds[k] : bounds[k + 1]]
-            x = (given.pixels[rays, 0] - (width - 1) / 2) * pitch
-            y = ((height - 1) / 2 - given.pixels[rays, 1]) * pitch
+            x = (given.observations.values[rays, 0] - (width - 1) / 2) * pitch
+            y = ((height - 1) / 2 - given.observations.values[rays, 1]) * pitch
             out.writelines(
-                f"{names[p]} {a:.20f} {b:.20f}\n" for p, a, b in zip(given.point[rays], x, y, strict=True)
+                f"{names[p]} {a:.20f} {b:.20f}\n"
+                for p, a, b in zip(given.observations.point[rays], x, y, strict=True)
             )
             out.write("-99\n")
 
@@ -235,12 +242,12 @@ REPORT_HEAD = (
 RMS = {"control": "0.012 | 0.013 | 0.014", "check": "0.021 | 0.022 | 0.023"}
 
 
-def write_report(path: Path, given: Reconstruction, *, mean_px: float, sigma_px: Floats) -> None:
+def write_report(path: Path, given: Block, *, mean_px: float, sigma_px: Floats) -> None:
     """Write the report of such a project as a page; the rows of its tables have the columns of real ones.
 
     sigma_px (cameras, 3): of c, x0 and y0.
     """
-    count = len(given.image_names)
+    count = len(given.images.names)
     rows = [
         "Quality Report", "Generated with Pix4Dmapper version 4.5.6",
         f"Dataset | {count} out of {count + 2} images calibrated (99%), all images enabled",
@@ -251,11 +258,12 @@ def write_report(path: Path, given: Reconstruction, *, mean_px: float, sigma_px:
         f"{y:.6f} [pixel] 0.0 [mm] | 0.000 | 0.000 | 0.000 | 0.000 | 0.000"
         for c, x, y in sigma_px
     ]
-    for role, head in (
+    heads: tuple[tuple[Role, str], ...] = (
         ("control", REPORT_HEAD),
         ("check", REPORT_HEAD.replace("GCP Name", "Check Point Name")),
-    ):
-        names = [given.point_names[k] for k in given.of_role(role)]
+    )
+    for role, head in heads:
+        names = [given.points.names[k] for k in of_role(given, role)]
         rows += [head]
         rows += [f"{name} (3D) | 0.020/ 0.030 | 0.011 | -0.012 | 0.013 | 0.402 | 4 / 4" for name in names]
         rows += ["Mean [m] | 0.001 | 0.002 | 0.003", "Sigma [m] | 0.011 | 0.012 | 0.013"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from photocal.base.errors import InputMalformedError, PhotocalError
+from photocal.block.model import Block
 from photocal.exchange.colmap import read_colmap, write_colmap
-from photocal.exchange.reconstruction import Reconstruction, as_block, of_block
+from photocal.exchange.exporting import Choices
+from tests.photocal.exchange.conftest import residuals_of, to_adjust
+
+CHOICES = Choices()
 
 
 def by_hand(folder: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -55,48 +60,49 @@ def by_hand(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     return np.array(found), np.array(marked)
 
 
-def test_residuals_are_ours(tmp_path: Path, vision: Reconstruction) -> None:
-    conversions = write_colmap(tmp_path, vision)
+def test_residuals_are_ours(tmp_path: Path, vision: Block) -> None:
+    conversions = write_colmap(tmp_path, vision, CHOICES)
     assert [conversion.largest_px for conversion in conversions] == [0, 0]
     found, marked = by_hand(tmp_path)
-    assert np.abs(found - marked - vision.residuals_px).max() < 1e-6
+    assert np.abs(found - marked - residuals_of(vision)).max() < 1e-6
     # COLMAP's upper-left pixel has its centre at (0.5, 0.5).
-    assert np.abs(marked - vision.pixels - 0.5).max() < 1e-9
+    assert np.abs(marked - vision.observations.values - 0.5).max() < 1e-9
 
 
 @pytest.mark.parametrize("binary", [False, True])
-def test_round_trip(tmp_path: Path, vision: Reconstruction, binary: bool) -> None:
-    write_colmap(tmp_path, vision, binary=binary)
-    again = of_block(read_colmap(tmp_path))
-    assert again.image_names == vision.image_names
-    assert again.point_names == vision.point_names
-    for name in ("poses", "xyz", "pixels"):
-        np.testing.assert_allclose(getattr(again, name), getattr(vision, name), rtol=1e-9, atol=1e-9)
-    for name in ("image", "point", "image_camera"):
-        assert np.array_equal(getattr(again, name), getattr(vision, name))
+def test_round_trip(tmp_path: Path, vision: Block, binary: bool) -> None:
+    write_colmap(tmp_path, vision, CHOICES, binary=binary)
+    again = read_colmap(tmp_path)
+    assert again.images.names == vision.images.names
+    assert again.points.names == vision.points.names
+    for name in ("images.values", "points.values", "observations.values"):
+        value = attrgetter(name)
+        np.testing.assert_allclose(value(again), value(vision), rtol=1e-9, atol=1e-9)
+    for name in ("observations.image", "observations.point", "images.camera"):
+        assert np.array_equal(attrgetter(name)(again), attrgetter(name)(vision))
     for own, other in zip(vision.cameras, again.cameras, strict=True):
         np.testing.assert_allclose(other.values, own.values, rtol=1e-9, atol=1e-15)
 
 
-def test_binary_and_text_say_the_same(tmp_path: Path, vision: Reconstruction) -> None:
+def test_binary_and_text_say_the_same(tmp_path: Path, vision: Block) -> None:
     for name in ("text", "binary"):
         (tmp_path / name).mkdir()
-        write_colmap(tmp_path / name, vision, binary=name == "binary")
-    text, binary = of_block(read_colmap(tmp_path / "text")), of_block(read_colmap(tmp_path / "binary"))
-    assert np.array_equal(text.poses, binary.poses)
-    assert np.array_equal(text.pixels, binary.pixels)
+        write_colmap(tmp_path / name, vision, CHOICES, binary=name == "binary")
+    text, binary = read_colmap(tmp_path / "text"), read_colmap(tmp_path / "binary")
+    assert np.array_equal(text.images.values, binary.images.values)
+    assert np.array_equal(text.observations.values, binary.observations.values)
 
 
-def test_photogrammetric_camera_is_fitted(tmp_path: Path, photogrammetric: Reconstruction) -> None:
-    (conversion,) = write_colmap(tmp_path, photogrammetric)
+def test_photogrammetric_camera_is_fitted(tmp_path: Path, photogrammetric: Block) -> None:
+    (conversion,) = write_colmap(tmp_path, photogrammetric, CHOICES)
     assert 0 < conversion.rms_px < conversion.largest_px < 1
     found, marked = by_hand(tmp_path)
-    assert np.abs(found - marked - photogrammetric.residuals_px).max() <= conversion.largest_px
+    assert np.abs(found - marked - residuals_of(photogrammetric)).max() <= conversion.largest_px
 
 
-def test_block(tmp_path: Path, vision: Reconstruction) -> None:
-    write_colmap(tmp_path, vision)
-    block = as_block(of_block(read_colmap(tmp_path)), "model", 0.5, ())
+def test_block(tmp_path: Path, vision: Block) -> None:
+    write_colmap(tmp_path, vision, CHOICES)
+    block = to_adjust(read_colmap(tmp_path), "model", 0.5)
     assert block.datum == "free"
     assert np.all(block.observations.sigma == 0.5)
     assert block.cameras[0].estimated.sum() == 9
@@ -108,11 +114,11 @@ def test_marks_without_point_are_left_out(tmp_path: Path) -> None:
         "1 1 0 0 0 0 0 5 1 a b.jpg\n10 20 7 30 40 -1\n2 1 0 0 0 0 0 6 1 c.jpg\n\n"
     )
     (tmp_path / "points3D.txt").write_text("7 0 0 0 1 2 3 0.5 1 0\n")
-    found = of_block(read_colmap(tmp_path))
-    assert found.image_names == ("a b.jpg", "c.jpg")
-    assert found.pixels.tolist() == [[9.5, 19.5]]
+    found = read_colmap(tmp_path)
+    assert found.images.names == ("a b.jpg", "c.jpg")
+    assert found.observations.values.tolist() == [[9.5, 19.5]]
     # Five units in front of the camera, which looks along its z axis.
-    assert found.poses[0, 3:].tolist() == [0, 0, -5]
+    assert found.images.values[0, 3:].tolist() == [0, 0, -5]
 
 
 @pytest.mark.parametrize(
@@ -136,55 +142,58 @@ def test_bad_text(tmp_path: Path, name: str, text: str, message: str) -> None:
     (tmp_path / "points3D.txt").write_text("7 0 0 0 1 2 3 0.5 1 0\n")
     (tmp_path / name).write_text(text)
     with pytest.raises(InputMalformedError, match=message):
-        of_block(read_colmap(tmp_path))
+        read_colmap(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
-def test_huge_count_is_not_believed(tmp_path: Path, vision: Reconstruction, name: str) -> None:
-    write_colmap(tmp_path, vision, binary=True)
+def test_huge_count_is_not_believed(tmp_path: Path, vision: Block, name: str) -> None:
+    write_colmap(tmp_path, vision, CHOICES, binary=True)
     content = (tmp_path / name).read_bytes()
     (tmp_path / name).write_bytes(struct.pack("<Q", 10**13) + content[8:])
     with pytest.raises(InputMalformedError, match="more than the file can hold"):
-        of_block(read_colmap(tmp_path))
+        read_colmap(tmp_path)
 
 
 @given(st.integers(0, 2), st.integers(0, 10**6), st.binary(max_size=12))
 @settings(max_examples=80)
 def test_damaged_binary_never_tracebacks(
-    tmp_path_factory: pytest.TempPathFactory, vision: Reconstruction, which: int, at: int, noise: bytes
+    tmp_path_factory: pytest.TempPathFactory, vision: Block, which: int, at: int, noise: bytes
 ) -> None:
     folder = tmp_path_factory.mktemp("model")
-    write_colmap(folder, vision, binary=True)
+    write_colmap(folder, vision, CHOICES, binary=True)
     path = folder / ("cameras.bin", "images.bin", "points3D.bin")[which]
     content = path.read_bytes()
     at %= len(content)
     path.write_bytes(content[:at] + noise + (content[at + len(noise) :] if len(noise) % 2 else b""))
     with suppress(PhotocalError):
-        of_block(read_colmap(folder))
+        read_colmap(folder)
 
 
-def test_blank_in_a_name(tmp_path: Path, vision: Reconstruction) -> None:
+def test_blank_in_a_name(tmp_path: Path, vision: Block) -> None:
     from dataclasses import replace
 
-    named = replace(vision, image_names=("a b.jpg", *vision.image_names[1:]))
+    images = replace(vision.images, names=("a b.jpg", *vision.images.names[1:]))
+    named = replace(vision, images=images)
     with pytest.raises(InputMalformedError, match="blanks"):
-        write_colmap(tmp_path, named)
-    write_colmap(tmp_path, named, binary=True)
-    assert of_block(read_colmap(tmp_path)).image_names[0] == "a b.jpg"
+        write_colmap(tmp_path, named, CHOICES)
+    write_colmap(tmp_path, named, CHOICES, binary=True)
+    assert read_colmap(tmp_path).images.names[0] == "a b.jpg"
 
 
 @pytest.mark.parametrize("binary", [False, True])
-def test_pycolmap_reproduces_our_residuals(tmp_path: Path, vision: Reconstruction, binary: bool) -> None:
+def test_pycolmap_reproduces_our_residuals(tmp_path: Path, vision: Block, binary: bool) -> None:
     """COLMAP's own reader and projection."""
     pycolmap = pytest.importorskip("pycolmap")
-    write_colmap(tmp_path, vision, binary=binary)
+    write_colmap(tmp_path, vision, Choices(residuals_px=residuals_of(vision)), binary=binary)
     model = pycolmap.Reconstruction()
     (model.read_binary if binary else model.read_text)(str(tmp_path))
     assert model.is_valid()
     assert (model.num_images(), model.num_cameras()) == (6, 2)
     ours = {
-        (vision.image_names[i], int(vision.point_names[j])): v
-        for i, j, v in zip(vision.image, vision.point, vision.residuals_px, strict=True)
+        (vision.images.names[i], int(vision.points.names[j])): v
+        for i, j, v in zip(
+            vision.observations.image, vision.observations.point, residuals_of(vision), strict=True
+        )
     }
     found = {}
     for image in model.images.values():

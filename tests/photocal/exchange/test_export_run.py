@@ -12,21 +12,23 @@ from typer.testing import CliRunner
 
 from photocal.adjustment.adjust import adjust
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.cli import app
 from photocal.commands.export import FORMATS
 from photocal.exchange.colmap import read_colmap
+from photocal.exchange.exporting import Choices, of_result
 from photocal.exchange.formats import FORMATS as ALL
 from photocal.exchange.formats import named
 from photocal.exchange.metashape import read_metashape
-from photocal.exchange.reconstruction import Choices, Reconstruction, as_block, of_block, of_result
 from photocal.results.adjusted import result_of
 from photocal.results.folder import read_result, write_result
+from tests.photocal.exchange.conftest import residuals_of, roles_of, to_adjust
 
 
-def run_of(given: Reconstruction, folder: Path) -> Path:
+def run_of(given: Block, folder: Path) -> Path:
     """Adjust with control held, and write the run."""
-    free = as_block(given, "small", 0.5, ())
+    free = to_adjust(given, "small", 0.5)
     points = replace(
         free.points, sigma=np.full(free.points.sigma.shape, 0.01), role=np.zeros(40, dtype=np.int64)
     )
@@ -39,44 +41,46 @@ def run_of(given: Reconstruction, folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory, vision: Reconstruction) -> Path:
+def run(tmp_path_factory: pytest.TempPathFactory, vision: Block) -> Path:
     # Camera names must differ in a block.
     cameras = tuple(replace(own, id=f"camera {k}") for k, own in enumerate(vision.cameras))
     return run_of(replace(vision, cameras=cameras), tmp_path_factory.mktemp("run") / "run")
 
 
 @pytest.fixture(scope="module")
-def run_in_mm(tmp_path_factory: pytest.TempPathFactory, photogrammetric: Reconstruction) -> Path:
+def run_in_mm(tmp_path_factory: pytest.TempPathFactory, photogrammetric: Block) -> Path:
     return run_of(photogrammetric, tmp_path_factory.mktemp("run") / "mm")
 
 
-def test_run_folder_gives_what_was_adjusted(run: Path, vision: Reconstruction) -> None:
-    again = of_result(read_result(run))
-    assert again.image_names == vision.image_names
-    assert set(again.roles) == {"control"}
-    np.testing.assert_allclose(again.pixels, vision.pixels, atol=1e-9)
-    assert np.sqrt(np.mean((again.poses - vision.poses) ** 2)) < 0.05
+def test_run_folder_gives_what_was_adjusted(run: Path, vision: Block) -> None:
+    again, residuals_px = of_result(read_result(run))
+    assert again.images.names == vision.images.names
+    assert set(roles_of(again)) == {"control"}
+    np.testing.assert_allclose(again.observations.values, vision.observations.values, atol=1e-9)
+    assert np.sqrt(np.mean((again.images.values - vision.images.values) ** 2)) < 0.05
     # Residuals are of the adjusted values; their sum of squares is below that of the true ones.
-    assert np.sum(again.residuals_px**2) < np.sum(vision.residuals_px**2)
+    assert np.sum(residuals_px**2) < np.sum(residuals_of(vision) ** 2)
 
 
 @pytest.mark.parametrize("form", ["colmap", "colmap-binary", "metashape"])
 def test_residuals_survive_the_export(run: Path, tmp_path: Path, form: str) -> None:
-    given = of_result(read_result(run))
+    given = of_result(read_result(run))[0]
     assert all(made.largest_px == 0 for made in named(form).write(tmp_path, given, Choices()))
     if form == "metashape":
-        again = of_block(read_metashape(tmp_path / "cameras.xml").block)
+        again = read_metashape(tmp_path / "cameras.xml").block
     else:
-        again = of_block(read_colmap(tmp_path))
-        np.testing.assert_allclose(again.pixels, given.pixels, atol=1e-9)
-        np.testing.assert_allclose(again.xyz, given.xyz, atol=1e-9)
-    np.testing.assert_allclose(again.poses, given.poses, rtol=1e-9, atol=1e-9)
+        again = read_colmap(tmp_path)
+        np.testing.assert_allclose(again.observations.values, given.observations.values, atol=1e-9)
+        np.testing.assert_allclose(again.points.values, given.points.values, atol=1e-9)
+    np.testing.assert_allclose(again.images.values, given.images.values, rtol=1e-9, atol=1e-9)
     for own, other in zip(given.cameras, again.cameras, strict=True):
         np.testing.assert_allclose(other.values, own.values, rtol=1e-9, atol=1e-15)
 
 
-def test_observations_in_mm_become_pixels(run_in_mm: Path, photogrammetric: Reconstruction) -> None:
-    np.testing.assert_allclose(of_result(read_result(run_in_mm)).pixels, photogrammetric.pixels, atol=1e-9)
+def test_observations_in_mm_become_pixels(run_in_mm: Path, photogrammetric: Block) -> None:
+    again, _ = of_result(read_result(run_in_mm))
+    wanted = photogrammetric.observations.values
+    np.testing.assert_allclose(again.observations.values, wanted, atol=1e-9)
 
 
 @pytest.mark.parametrize("form", [form.name for form in ALL if form.writes and form.name != "odm"])
@@ -132,13 +136,13 @@ def test_wrong_choices(run: Path, tmp_path: Path, extra: list[str], message: str
 
 def test_no_run(tmp_path: Path) -> None:
     with pytest.raises(InputNotFoundError):
-        of_result(read_result(tmp_path / "none"))
+        of_result(read_result(tmp_path / "none"))[0]
     (tmp_path / "result.json").write_text('{"schema": "other/1"}')
     with pytest.raises(InputMalformedError, match="was expected"):
-        of_result(read_result(tmp_path))
+        of_result(read_result(tmp_path))[0]
     (tmp_path / "result.json").write_text('{"schema": "photocal.adjustment/1", "x": NaN}')
     with pytest.raises(InputMalformedError, match="NaN where a number"):
-        of_result(read_result(tmp_path))
+        of_result(read_result(tmp_path))[0]
     (tmp_path / "result.json").write_text("[" * 100_000)
     with pytest.raises(InputMalformedError, match="recursion"):
-        of_result(read_result(tmp_path))
+        of_result(read_result(tmp_path))[0]

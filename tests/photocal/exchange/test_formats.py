@@ -11,13 +11,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from photocal.base.errors import ConfigurationError
+from photocal.block.model import Block
+from photocal.exchange import foreign_project
+from photocal.exchange.exporting import Choices
 from photocal.exchange.formats import FORMATS, Format, named, page, read_any_block
-from photocal.exchange.reconstruction import Choices, Reconstruction, of_block
 from photocal.geometry.camera import MODELS, Camera, Model, camera
 from photocal.geometry.conversion import in_pixels
 from photocal.geometry.rotation import matrix_from_angles
 from tests.photocal import blocks
-from tests.photocal.exchange.conftest import reconstruction_of
+from tests.photocal.exchange.conftest import reconstruction_of, roles_of, shown
 
 ROOT = Path(__file__).resolve().parents[3]
 READ = [form for form in FORMATS if form.reads and form.writes]
@@ -35,19 +37,6 @@ def model_of(form: Format) -> Model:
     return "brown-observed" if form.distortion == "brown-observed" else "brown-ideal"
 
 
-def observed(own: Reconstruction) -> Reconstruction:
-    """Without the points that no image shows."""
-    seen = np.unique(own.point)
-    return replace(
-        own,
-        point_names=tuple(own.point_names[j] for j in seen),
-        xyz=own.xyz[seen],
-        xyz_sigma=own.xyz_sigma[seen],
-        roles=tuple(own.roles[j] for j in seen),
-        point=np.searchsorted(seen, own.point),
-    )
-
-
 def made(form: Format, name: str, drawn: tuple[float, ...]) -> Camera:
     """A camera of the model that the format has, with up to some 100 px of distortion."""
     c, *shape = drawn
@@ -59,14 +48,14 @@ def made(form: Format, name: str, drawn: tuple[float, ...]) -> Camera:
     return camera(name, model_of(form), "mm", (3060, 2036), (0.009, 0.009), values)
 
 
-def written(form: Format, folder: Path, given_: Reconstruction) -> Reconstruction:
+def written(form: Format, folder: Path, given_: Block) -> Block:
     for conversion in form.write(folder, given_, Choices("gon")):
         # A format without distortion loses it, and says how much.
         assert conversion.largest_px == 0 or form.distortion == "none"
     if form.name == "jaicov":
         # What was written has no report, which tells the a priori standard deviation.
         (folder / "block.htm").write_text("S0 apriori: 0.001")
-    return of_block(form.read(folder).block)
+    return foreign_project.in_pixels(form.read(folder).block)
 
 
 @pytest.mark.parametrize("form", READ, ids=lambda form: form.name)
@@ -80,7 +69,7 @@ def test_round_trip_loses_nothing(
 ) -> None:
     # Cameras have no names in some formats: two that are alike would be one.
     cameras = [made(form, "1", first), made(form, "2", (second[0] + 0.5, *second[1:]))]
-    own = observed(reconstruction_of(tuple(cameras[:1] if form.name == "dbat" else cameras)))
+    own = shown(reconstruction_of(tuple(cameras[:1] if form.name == "dbat" else cameras)))
     again = written(form, tmp_path_factory.mktemp("format"), own)
     if "cameras" in form.holds:
         assert len(again.cameras) == len(own.cameras)
@@ -90,34 +79,41 @@ def test_round_trip_loses_nothing(
             # Each parameter by what it moves at the edge of the image, as a share of the radius.
             assert np.abs((a.values - b.values) * 1800.0**TO_RADIUS).max() < 1e-9
     if "orientations" in form.holds:
-        assert again.image_names == own.image_names or form.name == "jaicov"
-        turn = matrix_from_angles(again.poses[:, :3]) - matrix_from_angles(own.poses[:, :3])
+        assert again.images.names == own.images.names or form.name == "jaicov"
+        turn = matrix_from_angles(again.images.values[:, :3]) - matrix_from_angles(own.images.values[:, :3])
         assert np.abs(turn).max() < 1e-9
-        np.testing.assert_allclose(again.poses[:, 3:], own.poses[:, 3:], rtol=1e-9)
+        np.testing.assert_allclose(again.images.values[:, 3:], own.images.values[:, 3:], rtol=1e-9)
         if "cameras" in form.holds:
-            assert np.array_equal(again.image_camera, own.image_camera)
+            assert np.array_equal(again.images.camera, own.images.camera)
     if "points" in form.holds:
-        places = dict(zip(again.point_names, again.xyz, strict=True))
+        places = dict(zip(again.points.names, again.points.values, strict=True))
         wanted = [
             name
-            for name, role in zip(own.point_names, own.roles, strict=True)
+            for name, role in zip(own.points.names, roles_of(own), strict=True)
             if form.name not in SURVEYED or role == "control"
         ]
         assert set(wanted) <= set(places)
         for name in wanted:
-            np.testing.assert_allclose(places[name], own.xyz[own.point_names.index(name)], rtol=1e-9)
+            np.testing.assert_allclose(
+                places[name], own.points.values[own.points.names.index(name)], rtol=1e-9
+            )
     if "marks" in form.holds:
         marks, found = rays(own), rays(again)
         if form.name == "jaicov":
-            marks = {(str(own.image_names.index(i) + 1), j): xy for (i, j), xy in marks.items()}
+            marks = {(str(own.images.names.index(i) + 1), j): xy for (i, j), xy in marks.items()}
         assert found.keys() == marks.keys() or (form.name in FEW_MARKS and found.keys() <= marks.keys())
         assert max(np.abs(np.subtract(found[key], marks[key])).max() for key in found) < 1e-9
 
 
-def rays(given_: Reconstruction) -> dict[tuple[str, str], list[float]]:
+def rays(given_: Block) -> dict[tuple[str, str], list[float]]:
     return {
-        (given_.image_names[i], given_.point_names[j]): xy
-        for i, j, xy in zip(given_.image, given_.point, given_.pixels.tolist(), strict=True)
+        (given_.images.names[i], given_.points.names[j]): xy
+        for i, j, xy in zip(
+            given_.observations.image,
+            given_.observations.point,
+            given_.observations.values.tolist(),
+            strict=True,
+        )
     }
 
 
@@ -137,10 +133,11 @@ def test_origin_of_the_pixels_is_as_stated(tmp_path: Path, form: Format) -> None
     """The first mark stands in the file shifted by the half pixel that the table states."""
     own = reconstruction_of((camera("1", model_of(form), "mm", (3060, 2036), (0.009, 0.009), {"c": 20.5}),))
     # A coordinate that is found again by its digits; point 100 is control and goes everywhere.
-    ray = int(np.flatnonzero(own.point == 0)[0])
-    pixels = own.pixels.copy()
+    ray = int(np.flatnonzero(own.observations.point == 0)[0])
+    pixels = own.observations.values.copy()
     pixels[ray, 0] = 1234.0625
-    form.write(tmp_path, replace(own, pixels=pixels), Choices())
+    moved = replace(own, observations=replace(own.observations, values=pixels))
+    form.write(tmp_path, moved, Choices())
     content = b"".join(path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file())
     corner = {"corner of the first pixel": 1234.5625, "centre of the first pixel": 1234.0625}.get(form.origin)
     if form.name == "opensfm":

@@ -8,7 +8,7 @@ import time
 import tracemalloc
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from photocal.base.errors import PhotocalError
+from photocal.block.model import Block
 from photocal.exchange.dbat import read_dbat_cameras
+from photocal.exchange.exporting import Choices, of_result
 from photocal.exchange.formats import FORMATS
 from photocal.exchange.ground_points import (
     read_gcp_list,
@@ -31,11 +33,10 @@ from photocal.exchange.jaicov import read_scale_bars
 from photocal.exchange.micmac import read_measures
 from photocal.exchange.orientation_tables import read_matrices, write_matrices
 from photocal.exchange.parts import Mark, PointEntry
-from photocal.exchange.reconstruction import Choices, Reconstruction, of_result
 from photocal.exchange.reference_table import read_references, write_references
 from photocal.geometry.camera import Model, camera
 from photocal.results.folder import read_result
-from tests.photocal.exchange.conftest import reconstruction_of
+from tests.photocal.exchange.conftest import reconstruction_of, shown
 
 TEN_GB = 10 << 30
 
@@ -54,18 +55,10 @@ def text(name: str, content: str) -> Callable[[Path], object]:
 
 
 @cache
-def small(model: Model) -> Reconstruction:
+def small(model: Model) -> Block:
     values = {"c": 20.5, "x0": 0.125, "K1": -2.5e-5, "P1": 1e-6}
     made = reconstruction_of((camera("1", model, "mm", (3060, 2036), (0.009, 0.009), values),))
-    seen = np.unique(made.point)
-    return replace(
-        made,
-        point_names=tuple(made.point_names[j] for j in seen),
-        xyz=made.xyz[seen],
-        xyz_sigma=made.xyz_sigma[seen],
-        roles=tuple(made.roles[j] for j in seen),
-        point=np.searchsorted(seen, made.point),
-    )
+    return shown(made)
 
 
 def of_format(name: str) -> Case:
@@ -309,5 +302,5 @@ def test_run_folders(tmp_path: Path, name: str) -> None:
     os.truncate(path, TEN_GB)
     began = time.monotonic()
     with pytest.raises(PhotocalError):
-        of_result(read_result(tmp_path))
+        of_result(read_result(tmp_path))[0]
     assert time.monotonic() - began < 20

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import InputMalformedError, InputNotFoundError
-from photocal.block.model import ROLES
+from photocal.block.model import ROLES, Block
 from photocal.exchange.metashape import read_metashape, to_metashape
 from photocal.exchange.metashape import write as write_metashape
-from photocal.exchange.photoscan import read_project
-from photocal.exchange.reconstruction import Reconstruction, of_block
+from photocal.exchange.photoscan import read as read_project
 from photocal.geometry.camera import camera, plane_to_pixel
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import matrix_from_angles
+from tests.photocal.exchange.conftest import roles_of
 
 # Phantom 4 Pro as published (table 3, figure 20), f, cx, cy in px; image of 5472 x 3648 px.
 P4P = {"f": 3673.03, "cx": -2.3621, "cy": -14.7955, "k1": 0.0115868, "k2": -0.0574271, "k3": 0.102937}
@@ -44,7 +44,7 @@ def written(path: Path, values: dict[str, float], more: str = "") -> Path:
 @pytest.mark.parametrize("affine", [{}, {"b1": 3.5, "b2": -1.25, "k4": 0.01, "p3": 0.2, "p4": -0.1}])
 def test_published_camera_gives_the_same_distortion(tmp_path: Path, affine: dict[str, float]) -> None:
     value = dict.fromkeys(("b1", "b2", "k4", "p3", "p4"), 0.0) | P4P | affine
-    own = of_block(read_metashape(written(tmp_path / "c.xml", P4P | affine)).block).cameras[0]
+    own = read_metashape(written(tmp_path / "c.xml", P4P | affine)).block.cameras[0]
     x, y = np.random.default_rng(3).uniform([-0.74, -0.49], [0.74, 0.49], (300, 2)).T
     # The maker's equations (user manual, appendix), y down; u, v from the corner of the image.
     r2 = x * x + y * y
@@ -61,10 +61,10 @@ def test_published_camera_gives_the_same_distortion(tmp_path: Path, affine: dict
 
 
 def test_camera_to_chunk_matrix(tmp_path: Path) -> None:
-    found = of_block(read_metashape(written(tmp_path / "c.xml", P4P)).block)
-    assert found.image_names == ("DJI_0001.JPG",)
+    found = read_metashape(written(tmp_path / "c.xml", P4P)).block
+    assert found.images.names == ("DJI_0001.JPG",)
     # Looks straight down with the top of the image to the north: all angles zero.
-    np.testing.assert_allclose(found.poses, [[0, 0, 0, 10, 20, 30]], atol=1e-12)
+    np.testing.assert_allclose(found.images.values, [[0, 0, 0, 10, 20, 30]], atol=1e-12)
 
 
 def test_chunk_transform_and_markers(tmp_path: Path) -> None:
@@ -78,29 +78,29 @@ def test_chunk_transform_and_markers(tmp_path: Path) -> None:
         '<reference>PROJCS["ETRS89 / UTM zone 32N"]</reference>'
     )
     chunk = read_metashape(written(tmp_path / "c.xml", P4P, more))
-    assert chunk.crs.startswith("PROJCS")
-    given, points = of_block(chunk.block), chunk.block.points
+    assert chunk.block.frame.startswith("PROJCS")
+    given, points = chunk.block, chunk.block.points
     # (10, 20, 30) turned by 90 degrees about Z, doubled, moved.
-    np.testing.assert_allclose(given.poses[0, 3:], [100 - 40, 200 + 20, 360])
-    np.testing.assert_allclose(np.degrees(given.poses[0, :3]), [0, 0, 90], atol=1e-9)
+    np.testing.assert_allclose(given.images.values[0, 3:], [100 - 40, 200 + 20, 360])
+    np.testing.assert_allclose(np.degrees(given.images.values[0, :3]), [0, 0, 90], atol=1e-9)
     assert points.sigma[0].tolist() == [0.01, 0.01, 0.02]
     assert np.isnan(points.values[1]).all()
-    assert given.pixels.tolist() == [[10, 20]]
+    assert given.observations.values.tolist() == [[10, 20]]
 
 
-def test_round_trip(tmp_path: Path, vision: Reconstruction) -> None:
+def test_round_trip(tmp_path: Path, vision: Block) -> None:
     # K4, P3, P4 and a skew: what no other format holds.
     extra = {"K4": 1e-32, "P3": 1e-9, "P4": 1e-16, "B2": 1e-4}
     skewed = replace(vision, cameras=tuple(own.changed(**extra) for own in vision.cameras))
     assert all(made.largest_px == 0 for made in write_metashape(tmp_path / "c.xml", skewed))
-    again = of_block(read_metashape(tmp_path / "c.xml").block)
-    np.testing.assert_allclose(again.poses, skewed.poses, rtol=1e-9, atol=1e-9)
+    again = read_metashape(tmp_path / "c.xml").block
+    np.testing.assert_allclose(again.images.values, skewed.images.values, rtol=1e-9, atol=1e-9)
     for own, other in zip(skewed.cameras, again.cameras, strict=True):
         np.testing.assert_allclose(other.values, own.values, rtol=1e-9, atol=0)
     # Control and check points travel as markers with their projections.
-    surveyed = [k for k, role in enumerate(skewed.roles) if role != "tie"]
-    np.testing.assert_allclose(again.xyz, skewed.xyz[surveyed], rtol=1e-12)
-    assert len(again.pixels) == np.isin(skewed.point, surveyed).sum()
+    surveyed = [k for k, role in enumerate(roles_of(skewed)) if role != "tie"]
+    np.testing.assert_allclose(again.points.values, skewed.points.values[surveyed], rtol=1e-12)
+    assert len(again.observations.values) == np.isin(skewed.observations.point, surveyed).sum()
 
 
 def test_photogrammetric_camera_is_fitted() -> None:
@@ -118,14 +118,14 @@ def test_photoscan_project(shared: Path, tmp_path: Path) -> None:
     folder = shared / "data" / "dbat-sxb"
     with zipfile.ZipFile(folder / "psprojects" / "sxb.psz") as project:
         (tmp_path / "doc.xml").write_bytes(project.read("doc.xml"))
-    given = of_block(read_metashape(tmp_path / "doc.xml").block)
+    given = read_metashape(tmp_path / "doc.xml").block
     own = given.cameras[0]
     assert own.value("c") == 20656.5
     # Principal point 4430, 6468 from the corner of 8858 x 12996 px.
     assert (own.value("x0"), own.value("y0")) == (4430 - 4429, 6498 - 6468)
     export = read_export(folder / "pmexports" / "w-op0-with-orient-pmexport.txt")
     marks = np.array([(mark.x, mark.y) for mark in export.marks])
-    nearest = np.abs(given.pixels[:, None] - marks[None]).max(axis=2).min(axis=1)
+    nearest = np.abs(given.observations.values[:, None] - marks[None]).max(axis=2).min(axis=1)
     assert (nearest < 1e-3).mean() > 0.9
 
 
@@ -218,7 +218,8 @@ def as_project(folder: Path) -> Path:
 
 def test_a_project_in_parts_and_in_a_reference_system(tmp_path: Path) -> None:
     """Its points are where its images show them, in east, north and up; positions of images come along."""
-    block, chunk = read_project(as_project(tmp_path))
+    chunk = read_project(as_project(tmp_path))
+    block = chunk.block
     assert block.images.names == ("A.JPG", "A.JPG (2)")
     assert [ROLES[k] for k in block.points.role] == ["control"] * 3 + ["check", "tie"]
     np.testing.assert_allclose(chunk.position, block.images.values[:, 3:], atol=1e-6)

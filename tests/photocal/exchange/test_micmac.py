@@ -11,8 +11,9 @@ import pytest
 
 from photocal.adjustment.adjust import adjust
 from photocal.base.errors import InputMalformedError
-from photocal.block.model import ROLES
+from photocal.block.model import ROLES, Block
 from photocal.block.network import assemble
+from photocal.exchange.exporting import Choices
 from photocal.exchange.formats import named, read_foreign_project
 from photocal.exchange.micmac import (
     read_calibration,
@@ -21,10 +22,10 @@ from photocal.exchange.micmac import (
     read_micmac,
     read_orientation,
 )
-from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import matrix_from_angles
+from tests.photocal.exchange.conftest import roles_of
 
 pytestmark = pytest.mark.shared
 
@@ -87,12 +88,12 @@ def test_wrong_convention(folder: Path, tmp_path: Path) -> None:
             read_calibration(path)
 
 
-def test_check_points_of_an_export_stay_check_points(tmp_path: Path, vision: Reconstruction) -> None:
+def test_check_points_of_an_export_stay_check_points(tmp_path: Path, vision: Block) -> None:
     plain = replace(vision, cameras=tuple(replace(own, id=f"c{k}") for k, own in enumerate(vision.cameras)))
     named("micmac").write(tmp_path, plain, Choices())
     points = read_foreign_project(tmp_path).block.points
     role = dict(zip(points.names, (ROLES[k] for k in points.role), strict=True))
-    for name, own in zip(vision.point_names, vision.roles, strict=True):
+    for name, own in zip(vision.points.names, roles_of(vision), strict=True):
         if name in role:
             assert role[name] == own
     assert {"control", "check"} <= set(role.values())

@@ -10,31 +10,23 @@ import pytest
 
 from photocal.adjustment.adjust import adjust
 from photocal.base.errors import InputMalformedError
+from photocal.block.model import Block
 from photocal.block.network import assemble
+from photocal.exchange.exporting import Choices
 from photocal.exchange.formats import named, read_foreign_block
-from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.geometry.camera import camera
-from tests.photocal.exchange.conftest import reconstruction_of
+from tests.photocal.exchange.conftest import reconstruction_of, residuals_of, shown, with_roles
 
 
 @pytest.fixture(scope="module")
-def exact() -> Reconstruction:
+def exact() -> Block:
     """One camera, measurements without errors, every tenth point surveyed to 1 mm."""
     values = {"c": 20.0, "K1": -1e-5, "P1": 1e-6}
     made = reconstruction_of((camera("1", "brown-ideal", "mm", (4608, 3456), (0.005, 0.005), values),))
-    seen = np.flatnonzero(np.bincount(made.point, minlength=len(made.xyz)) > 1)
-    keep = np.isin(made.point, seen)
-    return replace(
-        made,
-        point_names=tuple(made.point_names[j] for j in seen),
-        xyz=made.xyz[seen],
-        xyz_sigma=np.full((len(seen), 3), 1e-3),
-        roles=tuple("control" if k % 10 == 0 else "tie" for k in range(len(seen))),
-        image=made.image[keep],
-        point=np.searchsorted(seen, made.point[keep]),
-        pixels=(made.pixels + made.residuals_px)[keep],
-        residuals_px=np.zeros((int(keep.sum()), 2)),
-    )
+    made = with_roles(shown(made, 2), "control", *("tie",) * 9)
+    seen, points = made.observations, made.points
+    points = replace(points, sigma=np.full(points.sigma.shape, 1e-3))
+    return replace(made, points=points, observations=replace(seen, values=seen.values + residuals_of(made)))
 
 
 @pytest.mark.parametrize(
@@ -48,9 +40,7 @@ def exact() -> Reconstruction:
         ("photomodeler", "block.txt", 4),
     ],
 )
-def test_a_model_is_adjusted(
-    tmp_path: Path, exact: Reconstruction, form: str, file: str, control: int
-) -> None:
+def test_a_model_is_adjusted(tmp_path: Path, exact: Block, form: str, file: str, control: int) -> None:
     named(form).write(tmp_path, exact, Choices())
     if form == "jaicov":
         (tmp_path / "block.htm").write_text("S0 apriori: 0.005")
@@ -67,8 +57,8 @@ def test_a_model_is_adjusted(
     assert solution.variance_factor < 1e-6
 
 
-def test_metashape_markers_are_adjusted(tmp_path: Path, exact: Reconstruction) -> None:
-    surveyed = replace(exact, roles=("control",) * len(exact.roles))
+def test_metashape_markers_are_adjusted(tmp_path: Path, exact: Block) -> None:
+    surveyed = with_roles(exact, "control")
     named("metashape").write(tmp_path, surveyed, Choices())
     block = read_foreign_block(tmp_path / "cameras.xml")
     assert block.datum == "control"
@@ -76,7 +66,7 @@ def test_metashape_markers_are_adjusted(tmp_path: Path, exact: Reconstruction) -
     assert np.abs(adjust(assemble(block).network).residuals).max() < 1e-6
 
 
-def test_what_cannot_be_adjusted(tmp_path: Path, exact: Reconstruction) -> None:
+def test_what_cannot_be_adjusted(tmp_path: Path, exact: Block) -> None:
     named("metashape").write(tmp_path, exact, Choices())
     path = tmp_path / "cameras.xml"
     path.write_text(path.read_text().replace("LOCAL_CS[", "PROJCS[", 1))
@@ -88,13 +78,7 @@ def test_what_cannot_be_adjusted(tmp_path: Path, exact: Reconstruction) -> None:
         read_foreign_block(tmp_path / "reconstruction.json")
     for form in ("colmap", "opf"):
         (tmp_path / form).mkdir()
-        empty = replace(
-            exact,
-            image=exact.image[:0],
-            point=exact.point[:0],
-            pixels=exact.pixels[:0],
-            residuals_px=exact.pixels[:0],
-        )
+        empty = replace(exact, observations=exact.observations.rows(slice(0)))
         named(form).write(tmp_path / form, empty, Choices())
         with pytest.raises(InputMalformedError, match="no measurements of points"):
             read_foreign_block(tmp_path / form / ("cameras.txt" if form == "colmap" else "project.opf"))

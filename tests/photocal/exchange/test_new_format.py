@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -16,34 +15,23 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import ConfigurationError, InputNotFoundError
+from photocal.block.model import Block
 from photocal.exchange import formats
+from photocal.exchange.exporting import Choices
 from photocal.exchange.formats import read_foreign_project
-from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.geometry.camera import camera
 from photocal.results.folder import read_result
 from tests.photocal.exchange import toy_format
-from tests.photocal.exchange.conftest import reconstruction_of
+from tests.photocal.exchange.conftest import reconstruction_of, shown, with_roles
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture
-def given() -> Reconstruction:
+def given() -> Block:
     """What a toy holds: a camera without distortion; points of two rays and more, every third is control."""
     own = reconstruction_of((camera("1", "brown-ideal", "px", (4608, 3456), (1.0, 1.0), {"c": 3600.0}),))
-    seen = np.flatnonzero(np.bincount(own.point, minlength=len(own.xyz)) > 1)
-    keep = np.isin(own.point, seen)
-    return replace(
-        own,
-        point_names=tuple(own.point_names[j] for j in seen),
-        xyz=own.xyz[seen],
-        xyz_sigma=own.xyz_sigma[seen],
-        roles=tuple("tie" if k % 3 else "control" for k in range(len(seen))),
-        image=own.image[keep],
-        point=np.searchsorted(seen, own.point[keep]),
-        pixels=own.pixels[keep],
-        residuals_px=own.residuals_px[keep],
-    )
+    return with_roles(shown(own, 2), "control", "tie", "tie")
 
 
 def package(folder: Path, entry: str = "toyformat:TOY", module: str | None = None) -> Path:
@@ -81,7 +69,7 @@ def photocal(installed: Path, *words: object) -> subprocess.CompletedProcess[str
     )
 
 
-def test_another_package_adds_a_format(tmp_path: Path, given: Reconstruction) -> None:
+def test_another_package_adds_a_format(tmp_path: Path, given: Block) -> None:
     """`photocal adjust` reads its file, `photocal export` writes it: nothing of ours knows of it."""
     toy_format.write(tmp_path / "field.toy", given, Choices())
     # Without the package nothing takes the file.
@@ -98,12 +86,12 @@ def test_another_package_adds_a_format(tmp_path: Path, given: Reconstruction) ->
     assert written.returncode == 0, written.stderr
     assert json.loads(written.stdout)["files"] == ["block.toy"]
     again = toy_format.read(out / "block.toy").block
-    assert again.images.names == given.image_names
-    assert set(again.points.names) == set(given.point_names)
+    assert again.images.names == given.images.names
+    assert set(again.points.names) == set(given.points.names)
     adjusted = read_result(tmp_path / "run").images
     np.testing.assert_array_equal(again.images.values, adjusted.values)
     # The noise is 0.4 px where the format states 1 px.
-    assert np.abs((adjusted.values - given.poses) / adjusted.sigma).max() < 3
+    assert np.abs((adjusted.values - given.images.values) / adjusted.sigma).max() < 3
     (tmp_path / "damaged.toy").write_text("{}")
     damaged = photocal(installed, "adjust", tmp_path / "damaged.toy", "-o", tmp_path / "none")
     assert damaged.returncode != 0
@@ -115,7 +103,7 @@ def test_another_package_adds_a_format(tmp_path: Path, given: Reconstruction) ->
 
 @pytest.mark.usefixtures("forgotten")
 def test_its_folder_is_a_project_to_adopt(
-    tmp_path: Path, given: Reconstruction, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, given: Block, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "project" / "deep").mkdir(parents=True)
     toy_format.write(tmp_path / "project" / "deep" / "field.toy", given, Choices())
@@ -125,7 +113,7 @@ def test_its_folder_is_a_project_to_adopt(
     formats.added.cache_clear()
     foreign = read_foreign_project(tmp_path / "project")
     assert foreign.program == "Toy"
-    assert foreign.block.images.names == given.image_names
+    assert foreign.block.images.names == given.images.names
     assert np.isnan(foreign.position).all()
     with pytest.raises(InputNotFoundError, match="Toy; Pix4D"):
         read_foreign_project(tmp_path / "installed")

@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import InputMalformedError
+from photocal.block.model import Block
 from photocal.exchange.opencv import read_opencv, write_opencv
 from photocal.exchange.pinhole import to_vision
-from photocal.exchange.reconstruction import Reconstruction
+from tests.photocal.exchange.conftest import residuals_of
 
 
 @pytest.mark.parametrize("suffix", [".yml", ".json"])
-def test_opencv_projects_with_our_file(tmp_path: Path, vision: Reconstruction, suffix: str) -> None:
-    exact = vision.pixels + vision.residuals_px
-    rotation, translation = to_vision(vision.poses)
+def test_opencv_projects_with_our_file(tmp_path: Path, vision: Block, suffix: str) -> None:
+    exact = vision.observations.values + residuals_of(vision)
+    rotation, translation = to_vision(vision.images.values)
     for k, own in enumerate(vision.cameras):
         path = tmp_path / f"camera{suffix}"
         assert write_opencv(path, own).largest_px == 0
@@ -25,23 +26,23 @@ def test_opencv_projects_with_our_file(tmp_path: Path, vision: Reconstruction, s
         matrix = storage.getNode("camera_matrix").mat()
         coefficients = storage.getNode("distortion_coefficients").mat()
         storage.release()
-        for j in np.flatnonzero(vision.image_camera == k):
-            rays = vision.image == j
-            xyz = vision.xyz[vision.point[rays]]
+        for j in np.flatnonzero(vision.images.camera == k):
+            rays = vision.observations.image == j
+            xyz = vision.points.values[vision.observations.point[rays]]
             turn = cv2.Rodrigues(rotation[j])[0]
             found = cv2.projectPoints(xyz, turn, translation[j], matrix, coefficients)[0][:, 0]
             assert np.abs(found - exact[rays]).max() < 1e-6
 
 
 @pytest.mark.parametrize("suffix", [".yml", ".json"])
-def test_round_trip(tmp_path: Path, vision: Reconstruction, suffix: str) -> None:
+def test_round_trip(tmp_path: Path, vision: Block, suffix: str) -> None:
     for own in vision.cameras:
         path = tmp_path / f"camera{suffix}"
         write_opencv(path, own)
         np.testing.assert_allclose(read_opencv(path).values, own.values, rtol=1e-9, atol=1e-15)
 
 
-def test_photogrammetric_camera_states_its_residual(tmp_path: Path, photogrammetric: Reconstruction) -> None:
+def test_photogrammetric_camera_states_its_residual(tmp_path: Path, photogrammetric: Block) -> None:
     conversion = write_opencv(tmp_path / "camera.yml", photogrammetric.cameras[0])
     assert 0 < conversion.rms_px < 0.1
     storage = cv2.FileStorage(str(tmp_path / "camera.yml"), cv2.FILE_STORAGE_READ)

@@ -12,47 +12,47 @@ from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
 from photocal.base.errors import InputMalformedError
+from photocal.block.model import Block
 from photocal.exchange.opensfm import read_cameras, read_reconstruction, read_shots
 from photocal.exchange.opensfm import write as write_opensfm
 from photocal.exchange.pinhole import to_vision
-from photocal.exchange.reconstruction import Reconstruction, of_block
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import matrix_from_angles
 
 
-def test_opensfm_round_trip(tmp_path: Path, vision: Reconstruction) -> None:
+def test_opensfm_round_trip(tmp_path: Path, vision: Block) -> None:
     named = replace(vision, cameras=tuple(replace(own, id=f"v{k}") for k, own in enumerate(vision.cameras)))
     assert all(made.largest_px == 0 for made in write_opensfm(tmp_path, named))
-    again = of_block(read_reconstruction(tmp_path / "reconstruction.json"))
-    np.testing.assert_allclose(again.poses, vision.poses, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(again.xyz, vision.xyz, rtol=1e-12)
+    again = read_reconstruction(tmp_path / "reconstruction.json")
+    np.testing.assert_allclose(again.images.values, vision.images.values, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(again.points.values, vision.points.values, rtol=1e-12)
     for own, other in zip(vision.cameras, read_cameras(tmp_path / "cameras.json"), strict=True):
         np.testing.assert_allclose(other.values, own.values, rtol=1e-9, atol=1e-15)
 
 
-def test_opensfm_normalised_coordinates(tmp_path: Path, vision: Reconstruction) -> None:
+def test_opensfm_normalised_coordinates(tmp_path: Path, vision: Block) -> None:
     """OpenSfM's own definition: (column + 0.5 - width / 2) / larger side."""
     write_opensfm(tmp_path, vision)
     rows = [line.split("\t") for line in (tmp_path / "tracks.csv").read_text().splitlines()[1:]]
     x = np.array([float(row[3]) for row in rows])
-    np.testing.assert_allclose(x * 4608 - 0.5 + 4608 / 2, vision.pixels[:, 0], atol=1e-9)
+    np.testing.assert_allclose(x * 4608 - 0.5 + 4608 / 2, vision.observations.values[:, 0], atol=1e-9)
 
 
 @pytest.mark.shared
 def test_opensfm_example(shared: Path) -> None:
     """Berlin: the published reconstruction reprojects into its published tracks."""
     folder = shared / "data" / "opensfm-berlin-gcp"
-    found = of_block(read_reconstruction(folder / "reconstruction_example.json"))
-    point = {name: k for k, name in enumerate(found.point_names)}
-    image = {name: k for k, name in enumerate(found.image_names)}
+    found = read_reconstruction(folder / "reconstruction_example.json")
+    point = {name: k for k, name in enumerate(found.points.names)}
+    image = {name: k for k, name in enumerate(found.images.names)}
     own = found.cameras[0]
     miss = []
     for line in (folder / "tracks_example.csv").read_text().splitlines()[1:]:
         name, track, _, x, y = line.split("\t")[:5]
         if track in point and name in image:
-            rotation, translation = to_vision(found.poses[image[name]])
-            q = rotation @ found.xyz[point[track]] + translation
+            rotation, translation = to_vision(found.images.values[image[name]])
+            q = rotation @ found.points.values[point[track]] + translation
             pixel = plane_to_pixel(own.size_px, own.pitch, projected(own, (q * [1, -1, -1])[None]))[0]
             miss.append(pixel - [float(x) * 3264 + 3264 / 2 - 0.5, float(y) * 3264 + 2448 / 2 - 0.5])
     assert len(miss) > 1000
@@ -81,7 +81,7 @@ def test_opensfm_example(shared: Path) -> None:
 def test_bad_reconstruction(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "r.json").write_text(text)
     with pytest.raises(InputMalformedError, match=message):
-        of_block(read_reconstruction(tmp_path / "r.json"))
+        read_reconstruction(tmp_path / "r.json")
 
 
 def test_shots_of_odm(tmp_path: Path) -> None:

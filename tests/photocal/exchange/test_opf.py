@@ -14,14 +14,14 @@ from pyopf.io import load  # type: ignore[import-untyped]
 from pyopf.resolve import resolve  # type: ignore[import-untyped]
 
 from photocal.base.errors import InputMalformedError, InputNotFoundError
+from photocal.block.model import Block
 from photocal.exchange.opf import read as read_opf
 from photocal.exchange.opf import write as write_opf
-from photocal.exchange.reconstruction import Reconstruction, of_block
-from tests.photocal.exchange.conftest import reconstruction_of, vision_camera
+from tests.photocal.exchange.conftest import reconstruction_of, residuals_of, roles_of, vision_camera
 
 
 @pytest.fixture(scope="module")
-def plain() -> Reconstruction:
+def plain() -> Block:
     """Two cameras, without the affinity that OPF has no place for."""
     return reconstruction_of((vision_camera(), replace(vision_camera(K1=-1e-9), id="second")))
 
@@ -34,7 +34,7 @@ def turned(omega: float, phi: float, kappa: float) -> np.ndarray:
     return np.asarray(rx @ ry @ np.array([[ck, -sk, 0], [sk, ck, 0], [0, 0, 1]]))
 
 
-def test_its_own_library_reads_the_project(tmp_path: Path, plain: Reconstruction) -> None:
+def test_its_own_library_reads_the_project(tmp_path: Path, plain: Block) -> None:
     """All that pyopf resolves, projected by the specification, gives our residuals."""
     assert [made.largest_px for made in write_opf(tmp_path, plain)] == [0, 0]
     project = resolve(load(tmp_path / "project.opf"))
@@ -43,13 +43,15 @@ def test_its_own_library_reads_the_project(tmp_path: Path, plain: Reconstruction
     shots = {shot.id.int: shot for shot in calibration.calibrated_cameras.cameras}
     xyz = {point.id: point.coordinates for point in calibration.calibrated_control_points.points}
     names = {row.id.int: row.uri for row in project.camera_list.cameras}
-    assert list(names.values()) == list(plain.image_names)
+    assert list(names.values()) == list(plain.images.names)
     points = [*project.input_control_points.gcps, *project.input_control_points.mtps]
     assert sum(point.is_checkpoint for point in points) == 1
     assert len(project.projected_control_points.projected_gcps) == 2
     residual = {
-        (plain.image_names[i], plain.point_names[j]): v
-        for i, j, v in zip(plain.image, plain.point, plain.residuals_px, strict=True)
+        (plain.images.names[i], plain.points.names[j]): v
+        for i, j, v in zip(
+            plain.observations.image, plain.observations.point, residuals_of(plain), strict=True
+        )
     }
     found = {}
     for point in points:
@@ -70,26 +72,26 @@ def test_its_own_library_reads_the_project(tmp_path: Path, plain: Reconstruction
     assert max(np.abs(found[key] - residual[key]).max() for key in found) < 1e-6
 
 
-def test_round_trip(tmp_path: Path, plain: Reconstruction) -> None:
+def test_round_trip(tmp_path: Path, plain: Block) -> None:
     write_opf(tmp_path, plain)
-    again = of_block(read_opf(tmp_path / "project.opf").block)
-    assert (again.image_names, again.point_names, again.roles) == (
-        plain.image_names,
-        plain.point_names,
-        plain.roles,
+    again = read_opf(tmp_path / "project.opf").block
+    assert (again.images.names, again.points.names, roles_of(again)) == (
+        plain.images.names,
+        plain.points.names,
+        roles_of(plain),
     )
-    np.testing.assert_allclose(again.poses, plain.poses, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(again.xyz, plain.xyz, rtol=1e-15)
-    np.testing.assert_allclose(again.xyz_sigma[:2], plain.xyz_sigma[:2])
-    order = np.lexsort((plain.image, plain.point))
-    np.testing.assert_allclose(again.pixels, plain.pixels[order], atol=1e-9)
-    assert np.array_equal(again.image_camera, plain.image_camera)
+    np.testing.assert_allclose(again.images.values, plain.images.values, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(again.points.values, plain.points.values, rtol=1e-15)
+    np.testing.assert_allclose(again.points.sigma[:2], plain.points.sigma[:2])
+    order = np.lexsort((plain.observations.image, plain.observations.point))
+    np.testing.assert_allclose(again.observations.values, plain.observations.values[order], atol=1e-9)
+    assert np.array_equal(again.images.camera, plain.images.camera)
     for own, other in zip(plain.cameras, again.cameras, strict=True):
         assert own.id == other.id
         np.testing.assert_allclose(other.values, own.values, rtol=1e-9, atol=1e-15)
 
 
-def test_affinity_has_no_place(tmp_path: Path, vision: Reconstruction) -> None:
+def test_affinity_has_no_place(tmp_path: Path, vision: Block) -> None:
     with pytest.raises(InputMalformedError, match="affinity"):
         write_opf(tmp_path, vision)
     assert not list(tmp_path.iterdir())
@@ -143,7 +145,7 @@ def _uncalibrated(content: dict) -> None:  # type: ignore[type-arg]
 )
 def test_bad_project(
     tmp_path: Path,
-    plain: Reconstruction,
+    plain: Block,
     name: str,
     change: Callable[[dict], None],  # type: ignore[type-arg]
     message: str,

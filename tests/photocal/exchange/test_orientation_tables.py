@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import InputMalformedError
+from photocal.block.model import Block
 from photocal.exchange.orientation_tables import (
     read_inpho,
     read_matrices,
@@ -17,41 +18,38 @@ from photocal.exchange.orientation_tables import (
     write_matrices,
 )
 from photocal.exchange.pinhole import to_vision
-from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.distortion import undistorted
 
 
 @pytest.mark.parametrize("unit", ["deg", "gon"])
-def test_angles_are_in_their_unit(
-    tmp_path: Path, vision: Reconstruction, unit: Literal["deg", "gon"]
-) -> None:
+def test_angles_are_in_their_unit(tmp_path: Path, vision: Block, unit: Literal["deg", "gon"]) -> None:
     path = tmp_path / "ori.txt"
-    write_angles(path, vision.image_names, vision.poses, unit)
+    write_angles(path, vision.images.names, vision.images.values, unit)
     rows = [line.split() for line in path.read_text().splitlines()[1:]]
-    assert tuple(row[0] for row in rows) == vision.image_names
+    assert tuple(row[0] for row in rows) == vision.images.names
     values, circle = np.array([row[1:] for row in rows], float), 360 if unit == "deg" else 400
-    np.testing.assert_allclose(values[:, :3], vision.poses[:, 3:], rtol=1e-12)
-    np.testing.assert_allclose(values[:, 3:] / circle, vision.poses[:, :3] / (2 * np.pi), rtol=1e-12)
+    np.testing.assert_allclose(values[:, :3], vision.images.values[:, 3:], rtol=1e-12)
+    np.testing.assert_allclose(values[:, 3:] / circle, vision.images.values[:, :3] / (2 * np.pi), rtol=1e-12)
 
 
-def test_matrices_round_trip(tmp_path: Path, vision: Reconstruction) -> None:
-    write_matrices(tmp_path / "ori.txt", vision.image_names, vision.poses)
-    np.testing.assert_allclose(read_matrices(tmp_path / "ori.txt")[1], vision.poses, rtol=1e-9)
+def test_matrices_round_trip(tmp_path: Path, vision: Block) -> None:
+    write_matrices(tmp_path / "ori.txt", vision.images.names, vision.images.values)
+    np.testing.assert_allclose(read_matrices(tmp_path / "ori.txt")[1], vision.images.values, rtol=1e-9)
     # Camera to object is the inverse of object to vision axes, with y and z turned back.
     cells = (tmp_path / "ori.txt").read_text().splitlines()[1].split()[4:]
-    rotation, _ = to_vision(vision.poses[0])
+    rotation, _ = to_vision(vision.images.values[0])
     np.testing.assert_allclose(
         np.array(cells, float).reshape(3, 3), rotation.T @ np.diag([1, -1, -1]), atol=1e-12
     )
 
 
-def test_inpho_round_trip(tmp_path: Path, photogrammetric: Reconstruction) -> None:
+def test_inpho_round_trip(tmp_path: Path, photogrammetric: Block) -> None:
     path = tmp_path / "a.prj"
     (made,) = write_inpho(path, photogrammetric)
     found = read_inpho(path).block.images
     names, poses = found.names, found.values
-    assert names == photogrammetric.image_names
-    np.testing.assert_allclose(poses, photogrammetric.poses, rtol=1e-9)
+    assert names == photogrammetric.images.names
+    np.testing.assert_allclose(poses, photogrammetric.images.values, rtol=1e-9)
     # The file has no distortion: what is lost is the distortion itself, largest in a corner.
     own = photogrammetric.cameras[0]
     corner = np.array([[0.5, 0.5], [-0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]]) * own.size_px * own.pitch

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import InputMalformedError
+from photocal.block.model import Block
 from photocal.exchange.colmap import read_colmap, write_colmap
+from photocal.exchange.exporting import Choices
 from photocal.exchange.formats import named
 from photocal.exchange.metashape import write as write_metashape
 from photocal.exchange.opencv import read_opencv, write_opencv
 from photocal.exchange.opensfm import read_reconstruction
 from photocal.exchange.opensfm import write as write_opensfm
-from photocal.exchange.reconstruction import Choices, Reconstruction, of_block
 from photocal.geometry.camera import Camera, Model, camera, plane_to_pixel
 from photocal.geometry.conversion import apart_px, converted, in_pixels
 from photocal.geometry.distortion import projected
@@ -35,20 +36,20 @@ def lens(model: Model, **more: float) -> Camera:
 
 @pytest.mark.parametrize("model", ["rational", "equidistant"])
 @pytest.mark.parametrize("binary", [False, True])
-def test_colmap_holds_them(tmp_path: Path, vision: Reconstruction, model: Model, binary: bool) -> None:
+def test_colmap_holds_them(tmp_path: Path, vision: Block, model: Model, binary: bool) -> None:
     own = lens(model)
     given = replace(vision, cameras=(own,) * len(vision.cameras))
-    assert all(made.largest_px == 0 for made in write_colmap(tmp_path, given, binary=binary))
-    again = of_block(read_colmap(tmp_path)).cameras[0]
+    assert all(made.largest_px == 0 for made in write_colmap(tmp_path, given, Choices(), binary=binary))
+    again = read_colmap(tmp_path).cameras[0]
     assert again.model == model
     assert again.values == pytest.approx(own.values, rel=1e-12, abs=1e-12)
     assert {"c", "x0", "y0", "K1", "K4"} <= set(again.free) <= set(again.lens.names)
 
 
-def test_opensfm_holds_a_fisheye(tmp_path: Path, vision: Reconstruction) -> None:
+def test_opensfm_holds_a_fisheye(tmp_path: Path, vision: Block) -> None:
     given = replace(vision, cameras=(lens("equidistant"),) * len(vision.cameras))
     assert all(made.largest_px == 0 for made in write_opensfm(tmp_path, given))
-    again = of_block(read_reconstruction(tmp_path / "reconstruction.json")).cameras[0]
+    again = read_reconstruction(tmp_path / "reconstruction.json").cameras[0]
     assert again.model == "equidistant"
     assert again.values == pytest.approx(lens("equidistant").values, rel=1e-9, abs=1e-9)
 
@@ -63,10 +64,10 @@ def test_opencv_holds_them(tmp_path: Path, model: Model, suffix: str) -> None:
     assert (again.model, again.values.tolist()) == (model, pytest.approx(own.values.tolist(), rel=1e-12))
 
 
-def test_a_thin_prism_has_no_place_in_colmap(tmp_path: Path, vision: Reconstruction) -> None:
+def test_a_thin_prism_has_no_place_in_colmap(tmp_path: Path, vision: Block) -> None:
     own = lens("rational", S1=5e-4, S2=3e-4)
     given = replace(vision, cameras=(own,) * len(vision.cameras))
-    assert all(0.01 < made.largest_px < 10 for made in write_colmap(tmp_path, given))
+    assert all(0.01 < made.largest_px < 10 for made in write_colmap(tmp_path, given, Choices()))
 
 
 def test_conversions_state_what_they_miss() -> None:
@@ -79,7 +80,7 @@ def test_conversions_state_what_they_miss() -> None:
     assert converted(narrow, "brown-ideal").largest_px < 0.01
 
 
-def test_who_has_no_fisheye_refuses(tmp_path: Path, vision: Reconstruction) -> None:
+def test_who_has_no_fisheye_refuses(tmp_path: Path, vision: Block) -> None:
     given = replace(vision, cameras=(lens("equidistant"),) * len(vision.cameras))
     with pytest.raises(InputMalformedError, match=r"equidistant lens, which Brown's .* miss by up to"):
         write_metashape(tmp_path / "out.xml", given)

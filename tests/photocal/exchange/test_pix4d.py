@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import InputMalformedError
+from photocal.block.model import Block
 from photocal.exchange.pix4d_project import read_cam, read_external, write_pix4d
-from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import among, plane_to_pixel
 from photocal.geometry.distortion import projected
 from tests.photocal.exchange.pix4d_folder import write_params
@@ -46,19 +46,19 @@ def test_pix4d_example() -> None:
     np.testing.assert_allclose((pixel + 0.5) * 17.49998592 / 4608, [u, v], atol=1e-9)
 
 
-def test_pix4d_wants_the_right_image_size(tmp_path: Path, photogrammetric: Reconstruction) -> None:
+def test_pix4d_wants_the_right_image_size(tmp_path: Path, photogrammetric: Block) -> None:
     write_pix4d(tmp_path / "a.cam", photogrammetric.cameras[0])
     with pytest.raises(InputMalformedError, match="does not have the shape of a picture"):
         read_cam(tmp_path / "a.cam", [(4000, 4000)])
 
 
-def test_orientations_alone_are_those_of_the_block(tmp_path: Path, vision: Reconstruction) -> None:
+def test_orientations_alone_are_those_of_the_block(tmp_path: Path, vision: Block) -> None:
     # A .cam has one focal length.
     square = [own.with_values(np.where(among("B1", "B2"), 0.0, own.values)) for own in vision.cameras]
     write_params(tmp_path, replace(vision, cameras=tuple(square)))
     given = read_external(tmp_path / "field 3_calibrated_external_camera_parameters.txt").block
-    assert given.images.names == vision.image_names
-    np.testing.assert_allclose(given.images.values, vision.poses, atol=1e-9)
+    assert given.images.names == vision.images.names
+    np.testing.assert_allclose(given.images.values, vision.images.values, atol=1e-9)
     cameras = read_cam(
         tmp_path / "field 3_pix4d_calibrated_internal_camera_parameters.cam",
         [camera.size_px for camera in vision.cameras],

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import PhotocalError
-from photocal.block.model import ROLES
+from photocal.block.model import ROLES, Block
 from photocal.exchange.foreign_project import ForeignProject
 from photocal.exchange.formats import read_foreign_project
-from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import camera
-from tests.photocal.exchange.conftest import reconstruction_of
+from tests.photocal.exchange.conftest import of_role, reconstruction_of, roles_of
 from tests.photocal.exchange.pix4d_folder import write_params
 
 AT = np.array([677000.0, 7184000.0, 900.0])
@@ -25,21 +24,22 @@ Change = Callable[[Path], None]
 
 
 @pytest.fixture(scope="module")
-def own() -> Reconstruction:
+def own() -> Block:
     """One camera, in map coordinates; a tie point has the number of a control point."""
     lens = camera("0", "brown-ideal", "mm", (4608, 3456), (0.005, 0.005), {"c": 20.0, "K1": -1e-5})
     made = reconstruction_of((lens,))
-    made = replace(made, xyz=made.xyz + AT, poses=made.poses + np.concatenate([np.zeros(3), AT]))
-    seen = np.flatnonzero(np.bincount(made.point, minlength=len(made.xyz)) > 1)
-    names, control = list(made.point_names), made.of_role("control")
-    tie = next(k for k in made.of_role("tie")[::-1] if k in seen)
+    poses = made.images.values + np.concatenate([np.zeros(3), AT])
+    seen = np.flatnonzero(np.bincount(made.observations.point, minlength=len(made.points.values)) > 1)
+    names, control = list(made.points.names), of_role(made, "control")
+    tie = next(k for k in of_role(made, "tie")[::-1] if k in seen)
     names[tie] = names[control[0]]
-    return replace(made, point_names=tuple(names))
+    points = replace(made.points, names=tuple(names), values=made.points.values + AT)
+    return replace(made, images=replace(made.images, values=poses), points=points)
 
 
-def read(folder: Path, own: Reconstruction, change: Change = lambda _: None) -> ForeignProject:
+def read(folder: Path, own: Block, change: Change = lambda _: None) -> ForeignProject:
     """Write the folder, change it, read it."""
-    write_params(folder, own, manual=(int(own.of_role("tie")[0]),), offset=AT)
+    write_params(folder, own, manual=(int(of_role(own, "tie")[0]),), offset=AT)
     change(folder)
     return read_foreign_project(folder)
 
@@ -100,7 +100,7 @@ SAME = {
 
 @pytest.mark.parametrize("change", SAME.values(), ids=SAME.keys())
 def test_variations_are_read_the_same(
-    tmp_path_factory: pytest.TempPathFactory, own: Reconstruction, change: Change
+    tmp_path_factory: pytest.TempPathFactory, own: Block, change: Change
 ) -> None:
     expected = read(tmp_path_factory.mktemp("plain"), own)
     given = read(tmp_path_factory.mktemp("changed"), own, change)
@@ -112,15 +112,15 @@ def test_variations_are_read_the_same(
     np.testing.assert_array_equal(given.position, expected.position)
 
 
-def test_a_tie_point_with_the_number_of_a_control_point_is_another(
-    tmp_path: Path, own: Reconstruction
-) -> None:
+def test_a_tie_point_with_the_number_of_a_control_point_is_another(tmp_path: Path, own: Block) -> None:
     block = read(tmp_path, own).block
-    control = own.point_names[own.of_role("control")[0]]
+    control = own.points.names[of_role(own, "control")[0]]
     (at,) = (k for k, name in enumerate(block.points.names) if name == control)
     assert ROLES[block.points.role[at]] == "control"
-    rays = np.bincount(own.point, minlength=len(own.xyz))
-    (there,) = (k for k, name in enumerate(own.point_names) if name == control and own.roles[k] == "control")
+    rays = np.bincount(own.observations.point, minlength=len(own.points.values))
+    (there,) = (
+        k for k, name in enumerate(own.points.names) if name == control and roles_of(own)[k] == "control"
+    )
     assert np.count_nonzero(block.observations.point == at) == rays[there]
     assert f"tie {control}" in block.points.names
 
@@ -137,6 +137,6 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("change", "said"), REFUSED.values(), ids=REFUSED.keys())
-def test_what_cannot_be_read_is_named(tmp_path: Path, own: Reconstruction, change: Change, said: str) -> None:
+def test_what_cannot_be_read_is_named(tmp_path: Path, own: Block, change: Change, said: str) -> None:
     with pytest.raises(PhotocalError, match=re.escape(said)):
         read(tmp_path, own, change)

@@ -13,14 +13,15 @@ from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.rig import CENTRE
 from photocal.base.errors import InputMalformedError
+from photocal.block.model import Block
 from photocal.exchange.colmap import read_colmap
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.opensfm import read_reconstruction
 from photocal.exchange.pinhole import FLIP, from_vision
-from photocal.exchange.reconstruction import Reconstruction, as_block, of_block
 from photocal.exchange.rigs import of_poses
 from photocal.geometry.camera import camera
 from photocal.geometry.rotation import matrix_from_angles
+from tests.photocal.exchange.conftest import to_adjust
 
 Floats = NDArray[np.float64]
 # From rig to sensor, and from world to rig in two exposures: x right, y down, z forward.
@@ -40,10 +41,10 @@ def pose(head: str, frame: int) -> tuple[Rotation, Floats]:
     return turn * own, turn.apply(at) + shift
 
 
-def as_images_have_them(given: Reconstruction) -> None:
+def as_images_have_them(given: Block) -> None:
     """Relative orientations of the heads against those between the images, by the definition."""
     assert len(given.heads) == 3
-    block = as_block(given, "rig", 1.0, ())
+    block = to_adjust(given, "rig", 1.0)
     assert [head.of for head in block.heads] == [block.heads[0].camera] * 3
     ids = [camera.id for camera in block.cameras]
     rotation = matrix_from_angles(block.images.values[:, :3])
@@ -79,7 +80,7 @@ def test_opensfm(tmp_path: Path) -> None:
     (tmp_path / "rig_cameras.json").write_text(json.dumps(poses))
     assigned = {f"e{k}": [[f"{head}_{k}.jpg", head] for head in SENSORS] for k in range(2)}
     (tmp_path / "rig_assignments.json").write_text(json.dumps(assigned))
-    as_images_have_them(of_block(read_reconstruction(tmp_path / "reconstruction.json")))
+    as_images_have_them(read_reconstruction(tmp_path / "reconstruction.json"))
 
 
 def test_opensfm_with_rigs_in_the_reconstruction(tmp_path: Path) -> None:
@@ -95,7 +96,7 @@ def test_opensfm_with_rigs_in_the_reconstruction(tmp_path: Path) -> None:
     for name in ("rig_cameras.json", "rig_assignments.json"):
         (tmp_path / name).unlink()
     file.write_text(json.dumps([content]))
-    as_images_have_them(of_block(read_reconstruction(file)))
+    as_images_have_them(read_reconstruction(file))
     # Images by themselves are instances, too.
     content["rig_instances"] = {
         name: {"rotation": [0, 0, 0], "translation": [0, 0, 0], "rig_camera_ids": {name: head}}
@@ -103,7 +104,7 @@ def test_opensfm_with_rigs_in_the_reconstruction(tmp_path: Path) -> None:
         for name, head in rows
     }
     file.write_text(json.dumps([content]))
-    assert not of_block(read_reconstruction(file)).heads
+    assert not read_reconstruction(file).heads
 
 
 def test_binary_rigs_as_colmap_writes_them(tmp_path: Path) -> None:
@@ -113,7 +114,7 @@ def test_binary_rigs_as_colmap_writes_them(tmp_path: Path) -> None:
     made.read_text(str(tmp_path))
     (tmp_path / "binary").mkdir()
     made.write_binary(str(tmp_path / "binary"))
-    as_images_have_them(of_block(read_colmap(tmp_path / "binary")))
+    as_images_have_them(read_colmap(tmp_path / "binary"))
 
 
 def test_heads_are_known_by_their_poses() -> None:
@@ -184,7 +185,7 @@ def test_colmap(tmp_path: Path, form: str) -> None:
         ]
         entries[0] = {"image_prefix": "first/", "ref_sensor": True}
         (tmp_path / "rig_config.json").write_text(json.dumps([{"cameras": entries[::-1]}]))
-    as_images_have_them(of_block(read_colmap(tmp_path)))
+    as_images_have_them(read_colmap(tmp_path))
 
 
 def test_metashape(tmp_path: Path) -> None:
@@ -216,14 +217,14 @@ def test_metashape(tmp_path: Path) -> None:
         f'<document version="1.5.0"><chunk label="c"><sensors>{"".join(sensors)}</sensors>'
         f"<cameras>{''.join(cameras)}</cameras></chunk></document>"
     )
-    as_images_have_them(of_block(read_metashape(tmp_path / "cameras.xml").block))
+    as_images_have_them(read_metashape(tmp_path / "cameras.xml").block)
 
 
 def test_rig_assignments_that_are_none_are_refused(tmp_path: Path) -> None:
     test_opensfm(tmp_path)
     (tmp_path / "rig_assignments.json").write_text("0")
     with pytest.raises(InputMalformedError):
-        of_block(read_reconstruction(tmp_path / "reconstruction.json"))
+        read_reconstruction(tmp_path / "reconstruction.json")
 
 
 def test_a_sensor_that_is_turned_by_no_rotation_is_refused(tmp_path: Path) -> None:
@@ -251,4 +252,4 @@ def test_a_damaged_rig_is_refused(tmp_path: Path, key: str, value: list[float]) 
     rigs[0]["cameras"][0][key] = value
     path.write_text(json.dumps(rigs))
     with pytest.raises(InputMalformedError):
-        of_block(read_colmap(tmp_path))
+        read_colmap(tmp_path)

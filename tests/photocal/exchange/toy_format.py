@@ -6,11 +6,12 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from photocal.block.model import ROLES, Block
 from photocal.exchange.formats import CENTRE, PHOTO, WHOLE, Format
 
 if TYPE_CHECKING:
+    from photocal.exchange.exporting import Choices
     from photocal.exchange.foreign_project import ForeignProject
-    from photocal.exchange.reconstruction import Choices, Reconstruction
     from photocal.geometry.conversion import Conversion
 
 TOY = Format(
@@ -19,14 +20,15 @@ TOY = Format(
 )  # fmt: skip
 
 
-def write(path: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def write(path: Path, given: Block, _: Choices) -> tuple[Conversion, ...]:
     """Write names and numbers as they are, and of the only camera its principal distance, px."""
     (camera,) = given.cameras
+    images, points, seen = given.images, given.points, given.observations
     content = {
         "c": camera.value("c") / camera.pitch[0], "size": camera.size_px,
-        "images": given.image_names, "poses": given.poses.tolist(),
-        "points": given.point_names, "xyz": given.xyz.tolist(), "roles": given.roles,
-        "image": given.image.tolist(), "point": given.point.tolist(), "pixels": given.pixels.tolist(),
+        "images": images.names, "poses": images.values.tolist(),
+        "points": points.names, "xyz": points.values.tolist(), "roles": [ROLES[k] for k in points.role],
+        "image": seen.image.tolist(), "point": seen.point.tolist(), "pixels": seen.values.tolist(),
     }  # fmt: skip
     path.write_text(json.dumps(content), encoding="utf-8")
     return ()
@@ -36,7 +38,7 @@ def read(path: Path) -> ForeignProject:
     """Read it; control is known to a centimetre."""
     import numpy as np
 
-    from photocal.block.model import ROLES, Images, ObjectPoints
+    from photocal.block.model import Images, ObjectPoints
     from photocal.exchange.foreign_project import ForeignProject
     from photocal.exchange.parts import block, pixels
     from photocal.geometry.camera import camera

@@ -34,8 +34,8 @@ def test_every_text_is_used() -> None:
     source = "".join(p.read_text(encoding="utf-8") for p in Path(photocal.__file__).parent.rglob("*.py"))
     used = set(re.findall(r'["\x27]([a-z0-9_]+\.[a-zA-Z0-9_.]+)["\x27]', source))
     made = {m.split("{")[0] for m in re.findall(r'f"([a-z0-9_]+\.[^"]*\{[^"]*)"', source)}
-    # Heads of tables are data: `columns(say, "section", "key<", "key [unit]")`.
-    tables = set(re.findall(r'columns\(\s*say, "(\w+)"', source))
+    # Heads of tables are data: `columns(say, "section", "key<", "key [unit]")`, and those of `said_table`.
+    tables = set(re.findall(r'(?:columns|said_table)\(\s*say, "(\w+)', source))
     heads = set(re.findall(r'"([a-z0-9_]+)[<=]?(?: \[[^"]*\])?"', source))
     root = Path(photocal.__file__).parent
     source += "".join(p.read_text(encoding="utf-8") for p in root.rglob("standards/*.toml"))

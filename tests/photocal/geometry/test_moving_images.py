@@ -12,7 +12,7 @@ from photocal.base.arrays import Integers
 from photocal.block.folder import read_block
 from photocal.block.model import Block, Images, ObjectPoints, Observations
 from photocal.block.writer import write_block
-from photocal.exchange.reconstruction import of_result
+from photocal.exchange.exporting import of_result
 from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 from photocal.geometry.oriented_images import OrientedImages, oriented_images
 from photocal.georeferencing.direct import direct_orientation, intersect_points
@@ -112,11 +112,13 @@ def test_exported_observations_are_those_of_one_pose(truth: flights.Flight, view
     result = adjust_network(block_of(truth))
     assert result.images.movement is not None
     assert result.images.movement == pytest.approx(views.movements, abs=1e-6)
-    given = of_result(result)
+    given = of_result(result)[0]
     assert not given.cameras[0].rolling
     still = replace(views, movement=None)
-    names = [int(given.point_names[j]) for j in given.point]
-    assert given.pixels == pytest.approx(still.project(given.image, truth.points[names]), abs=1e-3)
+    names = [int(given.points.names[j]) for j in given.observations.point]
+    assert given.observations.values == pytest.approx(
+        still.project(given.observations.image, truth.points[names]), abs=1e-3
+    )
 
 
 def test_lines_are_moved_to_the_middle(truth: flights.Flight, views: OrientedImages) -> None:

@@ -59,15 +59,16 @@ def test_charuco_corners_of_rendered_boards() -> None:
         )
         view = find_board(grey, board)
         assert view is not None
-        assert len(view.corners) >= 20
-        row, column = np.divmod(view.corners, 6)
+        corners, pixels, sigmas = view
+        assert len(corners) >= 20
+        row, column = np.divmod(corners, 6)
         place = np.column_stack(
             [100 + 200 * (column + 1) - 0.5, 100 + 200 * (row + 1) - 0.5, np.ones(len(row))]
         )
         true = place @ matrix.T
-        error = view.pixels - true[:, :2] / true[:, 2:]
+        error = pixels - true[:, :2] / true[:, 2:]
         errors.append(error)
-        squares.append((error / view.sigmas) ** 2)
+        squares.append((error / sigmas) ** 2)
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 0.05
     assert 0.5 < np.mean(np.concatenate(squares)) < 1.6
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from photocal.block.model import Block, Images, ObjectPoints
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.measurement.oriented_ties import First, first_orientation
+from photocal.measurement.oriented_ties import Oriented, first_orientation
 from photocal.measurement.tracks import Tracks
 from tests.photocal.findings.english import english
 
@@ -42,7 +42,7 @@ def _rays(places: Floats, noise_px: float, seed: int) -> tuple[NDArray[np.int64]
 
 def oriented(
     given: Floats, positions: Floats | None = None, marks: Floats | None = None, some: slice = slice(None)
-) -> First:
+) -> Oriented:
     """Orient eight pictures of hilly ground with control as somebody has typed it."""
     rng = np.random.default_rng(5)
     ground = np.column_stack([rng.uniform(-40, 40, 160), rng.uniform(-28, 28, 160), rng.uniform(-4, 4, 160)])
@@ -61,11 +61,11 @@ def oriented(
     return first_orientation(replace(block, observations=seen), tracks)
 
 
-def said(found: First, code: str) -> list[str]:
+def said(found: Oriented, code: str) -> list[str]:
     return [one.subject for one in found.findings if one.code == code]
 
 
-def stations(found: First) -> float:
+def stations(found: Oriented) -> float:
     """By how much the stations are off, m: three pixels on the ground, of 60 m in 900 px, are 0.2 m."""
     return float(np.abs(found.adjusted.values[:, 3:] - STATIONS).max())
 

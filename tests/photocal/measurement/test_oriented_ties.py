@@ -71,11 +71,11 @@ def _block(places: Floats) -> Block:
 def test_positions_in_a_line_place_a_level_block_and_that_is_told() -> None:
     """Any turn about the line fits: cameras that look down close it, and the block is adjusted free."""
     places = np.array([[-6.0, 0, 40], [0, 0, 40], [6.0, 0, 40]])
-    found = oriented(_block(places), _tracks(places))
-    assert found.block.datum == "free"
-    assert any("in a line" in english(one) for one in found.findings)
-    assert np.abs(found.poses[:, 3:] - places).max() < 0.1
-    assert np.abs(found.poses[:, :2]).max() < 0.01
+    block, poses, _, findings = oriented(_block(places), _tracks(places))
+    assert block.datum == "free"
+    assert any("in a line" in english(one) for one in findings)
+    assert np.abs(poses[:, 3:] - places).max() < 0.1
+    assert np.abs(poses[:, :2]).max() < 0.01
 
 
 def test_positions_of_a_corridor_keep_all_that_they_say() -> None:
@@ -95,7 +95,7 @@ def test_positions_of_a_corridor_keep_all_that_they_say() -> None:
     assert np.ptp(found.values[:, 3]) == pytest.approx(44.0, abs=0.03)
     assert np.abs(found.values[:, 1]).max() < 0.01
     assert np.abs(found.values[:, 0]).max() < 0.2
-    told = [one for one in oriented(start, found.tracks).findings if one.code == "positions-in-line"]
+    told = [one for one in oriented(start, found.tracks)[3] if one.code == "positions-in-line"]
     assert 0.0 < float(told[0].figures["turn_deg"]) <= 11.5
 
 
@@ -144,10 +144,12 @@ def test_a_wrong_principal_distance_costs_iterations_only(share: float) -> None:
     start = _block(places)
     values = LENS.values.copy()
     values[0] *= share
-    found = oriented(replace(start, cameras=(LENS.with_values(values),)), _tracks(places, 0.2))
-    assert found.block.cameras[0].value("c") == pytest.approx(900.0, rel=1e-3)
-    assert found.block.cameras[0].estimated[0]
-    assert any("was given as" in english(one) for one in found.findings)
+    block, _, _, findings = oriented(
+        replace(start, cameras=(LENS.with_values(values),)), _tracks(places, 0.2)
+    )
+    assert block.cameras[0].value("c") == pytest.approx(900.0, rel=1e-3)
+    assert block.cameras[0].estimated[0]
+    assert any("was given as" in english(one) for one in findings)
 
 
 def test_poses_of_another_principal_distance_come_as_much_nearer() -> None:
@@ -185,11 +187,10 @@ def test_images_from_elsewhere_are_another_block() -> None:
         np.vstack([one.pixels, other.pixels[:, ::-1] * [1.0, 0.8]]),
         np.ones(len(one.track) + len(other.track)),
     )
-    found = oriented(_block(np.vstack([places, places[:3] + np.array([500.0, 0, 0])])), both)
-    assert all(reason == "" for reason in found.reasons[:6])
-    assert all(
-        "another block of 3 images" in reason or "do not orient" in reason for reason in found.reasons[6:]
-    )
+    block = _block(np.vstack([places, places[:3] + np.array([500.0, 0, 0])]))
+    reasons = oriented(block, both)[2]
+    assert all(reason == "" for reason in reasons[:6])
+    assert all("another block of 3 images" in reason or "do not orient" in reason for reason in reasons[6:])
 
 
 def test_images_that_share_nothing_are_named() -> None:

@@ -76,10 +76,11 @@ def test_boards(kind: str, tmp_path: Path, photocal: Callable[..., Answer]) -> N
     board = parse_board("8x6", 0.018, "4x4_50" if kind == "charuco" else "")
     view = find_board(page, board)
     assert view is not None
-    assert len(view.corners) == 35
+    corners, pixels, _ = view
+    assert len(corners) == 35
     # A similarity takes the board to the page: its scale is that of the paper.
-    flat = board.points()[view.corners, :2] * [1, -1]
-    zoom = np.linalg.lstsq(flat - flat.mean(axis=0), view.pixels - view.pixels.mean(axis=0), rcond=None)[0]
+    flat = board.points()[corners, :2] * [1, -1]
+    zoom = np.linalg.lstsq(flat - flat.mean(axis=0), pixels - pixels.mean(axis=0), rcond=None)[0]
     assert np.sqrt(abs(np.linalg.det(zoom))) == pytest.approx(1000 * PX_PER_MM, rel=5e-4)
 
 

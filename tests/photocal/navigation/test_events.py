@@ -176,7 +176,7 @@ def test_exposures_without_a_device_time_are_counted(monkeypatch: pytest.MonkeyP
     # The same exposures came over two links.
     assert len(best) == 3
     monkeypatch.setattr(FlightLog, "_read", lambda _: exposure_messages(rows, 0))
-    found = logged_exposures(FlightLog()).told[0]
+    found = logged_exposures(FlightLog())[0][0]
     assert len(found) == 0
     assert found.remarks == ["CAMERA_FEEDBACK: 3 exposures without a device time left out"]
 

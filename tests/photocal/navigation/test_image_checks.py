@@ -13,7 +13,7 @@ import pytest
 from photocal.measurement.features import FeatureSettings
 from photocal.measurement.match_images import MatchingPlan
 from photocal.navigation.exposure_run import ExposureChoices, place_exposures
-from photocal.navigation.image_checks import PairRotation, TieMatching, stored_turns
+from photocal.navigation.image_checks import PairRotation, stored_turns
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.rig import CameraOnBody
 from tests.photocal.conftest import Answer
@@ -83,7 +83,7 @@ def test_a_strip_stored_upside_down(shared: Path, tmp_path: Path) -> None:
         Sources(),
         images,
         rig=CameraOnBody(angle_sigma=np.radians([1.0, 1.0, 2.0])),
-        ties=TieMatching(plan, silent),
+        ties=(plan, silent),
     )
     checks = {own.code: own for own in place_exposures(choices, None, None).checks}
     check = checks["image-rotations"]
@@ -102,7 +102,7 @@ def test_a_strip_stored_upside_down(shared: Path, tmp_path: Path) -> None:
 @pytest.mark.shared
 def test_images_that_do_not_overlap_say_so(shared: Path, tmp_path: Path) -> None:
     folder = some_of(shared, (18, 35), tmp_path)
-    ties = TieMatching(MatchingPlan(tmp_path / "cache", 1, FeatureSettings(500, 600)), silent)
+    ties = (MatchingPlan(tmp_path / "cache", 1, FeatureSettings(500, 600)), silent)
     run = place_exposures(ExposureChoices(Sources(), folder, ties=ties), None, None)
     check = {own.code: own for own in run.checks}["image-rotations"]
     assert check.severity == "untested"

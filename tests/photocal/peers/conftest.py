@@ -14,7 +14,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block
 from photocal.block.network import assemble
-from photocal.exchange.reconstruction import Reconstruction, of_result
+from photocal.exchange.exporting import of_result
 from photocal.results.adjusted import result_of
 from photocal.results.folder import read_result, write_result
 
@@ -128,14 +128,14 @@ def dbat_report() -> Callable[[Path], DbatReport]:
 @pytest.fixture(scope="session")
 def adjusted(
     tmp_path_factory: pytest.TempPathFactory,
-) -> Callable[[Block], tuple[Reconstruction, Solution]]:
+) -> Callable[[Block], tuple[Block, Solution]]:
     """Adjusts a block; gives what the run folder says, and the solution."""
 
-    def run(block: Block) -> tuple[Reconstruction, Solution]:
+    def run(block: Block) -> tuple[Block, Solution]:
         assembly = assemble(block)
         solution = adjust(assembly.network)
         folder = tmp_path_factory.mktemp("run")
         write_result(folder, result_of(block, assembly, solution))
-        return of_result(read_result(folder)), solution
+        return of_result(read_result(folder))[0], solution
 
     return run

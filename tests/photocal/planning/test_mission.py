@@ -14,12 +14,12 @@ from pyproj import Geod
 from typer.testing import CliRunner
 
 from photocal.base.errors import ConfigurationError, PhotocalError
+from photocal.base.geodesy import GeodeticPlace
 from photocal.cli import app
 from photocal.planning.area import area_from_corners
 from photocal.planning.flight import FlightRequest, PlannedFlight, plan_flight
 from photocal.planning.frame import PlanningCamera
 from photocal.planning.mission import (
-    Home,
     mission_items,
     qgroundcontrol_plan,
     waypoint_file,
@@ -34,7 +34,7 @@ FIELD = [
     (-51.29339, -28.85368),
 ]
 PHANTOM = PlanningCamera(8.8e-3, 2.41e-6, 5472, 3648)
-HOME = Home(-28.8535, -51.2945, 700.0)
+HOME = GeodeticPlace(-28.8535, -51.2945, 700.0)
 
 
 @pytest.fixture(scope="module")

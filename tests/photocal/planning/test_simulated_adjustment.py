@@ -15,11 +15,12 @@ from photocal.adjustment.adjust import adjust
 from photocal.planning.area import area_from_corners
 from photocal.planning.flight import FlightRequest, Layout, PlannedFlight, plan_flight, suggest_layout
 from photocal.planning.frame import PlanningCamera
-from photocal.planning.simulated_adjustment import PlannedSurvey, planned_network, simulate
+from photocal.planning.options import PrecisionOptions
+from photocal.planning.simulated_adjustment import planned_network, simulate
 from tests.photocal.conftest import Answer
 
 CORNERS = [(-22.1200, -51.4100), (-22.1200, -51.4085), (-22.1212, -51.4085), (-22.1212, -51.4100)]
-POSITIONS = (0.03, 0.05)
+POSITIONS = "0.03,0.05"
 
 
 def planned(
@@ -33,7 +34,7 @@ def planned(
 
 
 def test_ground_is_seen_as_often_as_the_overlaps_say() -> None:
-    network, check = planned_network(*planned(0.8, 0.6), PlannedSurvey())
+    network, check = planned_network(*planned(0.8, 0.6), PrecisionOptions())
     rays = np.bincount(network.rays.point)[check]
     # 1 / (1 - 0.8) photos along times 1 / (1 - 0.6) strips across.
     assert rays.mean() == pytest.approx(5 * 2.5, rel=0.25)
@@ -41,14 +42,14 @@ def test_ground_is_seen_as_often_as_the_overlaps_say() -> None:
 
 def test_precision_scales_with_the_observations() -> None:
     flight, layout = planned()
-    once = simulate(flight, layout, PlannedSurvey(0.5, (0.02, 0.03)))
-    twice = simulate(flight, layout, PlannedSurvey(1.0, (0.04, 0.06)))
+    once = simulate(flight, layout, PrecisionOptions(image_sigma_px=0.5, control_sigma_m="0.02,0.03"))
+    twice = simulate(flight, layout, PrecisionOptions(image_sigma_px=1.0, control_sigma_m="0.04,0.06"))
     np.testing.assert_allclose(twice.mean_m, 2 * np.array(once.mean_m), rtol=1e-6)
 
 
 def test_monte_carlo_of_the_planned_flight() -> None:
     """Observations with errors, adjusted: the check points scatter as the plan says."""
-    network, check = planned_network(*planned(), PlannedSurvey())
+    network, check = planned_network(*planned(), PrecisionOptions())
     rng = np.random.default_rng(7)
     truth = network.points.values
     covariance = adjust(network).point_covariance[check]
@@ -78,20 +79,22 @@ def test_monte_carlo_of_the_planned_flight() -> None:
 
 def test_positions_and_heights_decide_what_can_be_calibrated() -> None:
     one, two = planned(), planned(second=140.0)
-    calibration = PlannedSurvey(self_calibration=True)
+    calibration = PrecisionOptions(calibrate=True)
     assert "do not separate" in simulate(*one, calibration).reason
     # Vertical photos over flat ground: a second height alone does not help, each photo has its own Z.
     assert "do not separate" in simulate(*two, calibration).reason
-    with_positions = simulate(*two, replace(calibration, gnss_m=POSITIONS))
+    with_positions = simulate(*two, replace(calibration, gnss_sigma_m=POSITIONS))
     assert with_positions.reason == ""
     assert with_positions.camera_px["c"] < 2
-    one_height = simulate(*one, replace(calibration, gnss_m=POSITIONS))
+    one_height = simulate(*one, replace(calibration, gnss_sigma_m=POSITIONS))
     assert one_height.camera_px["c"] > with_positions.camera_px["c"]
 
 
 def test_positions_help() -> None:
     flight, layout = planned()
-    without, with_positions = (simulate(flight, layout, PlannedSurvey(gnss_m=g)) for g in (None, POSITIONS))
+    without, with_positions = (
+        simulate(flight, layout, PrecisionOptions(gnss_sigma_m=g)) for g in (None, POSITIONS)
+    )
     assert np.all(np.array(with_positions.mean_m) < without.mean_m)
     assert (without.method, with_positions.method) == ("indirect", "integrated")
 

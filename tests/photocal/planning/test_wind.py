@@ -9,10 +9,11 @@ import pytest
 from pyproj import Geod
 
 from photocal.base.errors import ConfigurationError
+from photocal.base.geodesy import GeodeticPlace
 from photocal.planning.area import Area
 from photocal.planning.flight import FlightRequest, PlannedFlight, plan_flight
 from photocal.planning.frame import PlanningCamera
-from photocal.planning.mission import WIND_TEXT, Home, at_speed, farthest_m, in_wind
+from photocal.planning.mission import WIND_TEXT, at_speed, farthest_m, in_wind
 
 AREA = Area(np.array([-28.853, -28.853, -28.849, -28.849]), np.array([-51.294, -51.290, -51.290, -51.294]))
 FRAME = PlanningCamera(8.8e-3, 2.41e-6, 5472, 3648)
@@ -98,7 +99,7 @@ def test_a_border_is_covered_like_the_area() -> None:
 
 
 def test_the_farthest_photo_from_the_take_off_place() -> None:
-    flight, home = flight_of(0.0), Home(-28.853, -51.294, 690.0)
+    flight, home = flight_of(0.0), GeodeticPlace(-28.853, -51.294, 690.0)
     lat, lon = flight.plane.to_degrees(np.vstack([strip.exposures_m for strip in flight.strips]))
     level = [
         Geod(ellps="WGS84").inv(home.longitude_deg, home.latitude_deg, x, y)[2]

@@ -15,10 +15,11 @@ import pytest
 import photocal
 from photocal.base.codec import same
 from photocal.base.errors import PhotocalError
+from photocal.base.geodesy import GeodeticPlace
 from photocal.block.model import Block
 from photocal.block.writer import write_block
+from photocal.exchange.exporting import Choices, of_result
 from photocal.exchange.formats import FORMATS, read_foreign_block
-from photocal.exchange.reconstruction import Choices, Origin, Reconstruction, of_block, of_result
 from photocal.navigation.image_checks import oriented_images
 from photocal.results.folder import read_result, write_result
 from photocal.results.result import Result
@@ -33,7 +34,7 @@ NUMBERED = {
     "photomodeler": "points",
     "dbat": "both",
 }
-CHOICES = Choices("deg", Origin(-22.0, -51.0, 400.0))
+CHOICES = Choices("deg", GeodeticPlace(-22.0, -51.0, 400.0))
 
 
 def simulated() -> Block:
@@ -136,7 +137,7 @@ def test_a_run_folder_keeps_them(result: Result, tmp_path: Path) -> None:
 @pytest.mark.parametrize("form", [form for form in FORMATS if form.writes], ids=lambda form: form.name)
 def test_exports_keep_them(form: object, result: Result, tmp_path: Path) -> None:
     assert isinstance(form, type(FORMATS[0]))
-    given = of_result(result)
+    given = of_result(result)[0]
     if form.name == "odm":
         given = replace(given, frame="EPSG:32722", height="ellipsoidal")
     if form.name in NUMBERED:
@@ -150,23 +151,23 @@ def test_exports_keep_them(form: object, result: Result, tmp_path: Path) -> None
         wanted = ("007",) if form.holds == ("cameras",) else NAMES
         assert all(name in text for name in wanted)
         return
-    again = of_block(form.read(tmp_path).block)
+    again = form.read(tmp_path).block
     if "orientations" in form.holds:
-        assert again.image_names == NAMES
+        assert again.images.names == NAMES
     if "points" in form.holds:
-        assert set(again.point_names) == set(NAMES)
+        assert set(again.points.names) == set(NAMES)
     taken = [path for path in sorted(tmp_path.rglob("*")) if form.detect(path)]
     if len(taken) == 1:
         assert set(read_foreign_block(taken[0]).points.names) == set(NAMES)
 
 
-def _refused_or_apart(form: object, given: Reconstruction, folder: Path) -> None:
+def _refused_or_apart(form: object, given: Block, folder: Path) -> None:
     assert isinstance(form, type(FORMATS[0]))
     try:
         form.write(folder, given, CHOICES)
-        again = of_block(form.read(folder).block)
+        again = form.read(folder).block
     except PhotocalError:
         return
-    assert len(set(again.point_names)) == len(NAMES)
+    assert len(set(again.points.names)) == len(NAMES)
     if NUMBERED[form.name] == "points":
-        assert again.image_names == NAMES
+        assert again.images.names == NAMES

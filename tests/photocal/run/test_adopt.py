@@ -14,11 +14,11 @@ import pytest
 
 from photocal.base.errors import InputMalformedError
 from photocal.block.folder import read_block
-from photocal.block.model import ROLES
+from photocal.block.model import ROLES, Block
 from photocal.block.writer import write_block
+from photocal.exchange.exporting import Choices, of_result
 from photocal.exchange.formats import named, read_foreign_project
 from photocal.exchange.pinhole import to_pinhole, to_vision
-from photocal.exchange.reconstruction import Choices, Reconstruction, as_block, of_result
 from photocal.geometry.camera import PARAMETERS, Model, camera
 from photocal.geometry.frames import ReferenceFrame
 from photocal.geometry.oriented_images import given_places
@@ -26,7 +26,7 @@ from photocal.results.adjusted import adjust_block
 from photocal.results.folder import read_result
 from photocal.run import adopt as module
 from photocal.run.adoption_figures import adoption_text, rounded
-from tests.photocal.exchange.conftest import reconstruction_of
+from tests.photocal.exchange.conftest import reconstruction_of, roles_of, shown, to_adjust, with_roles
 
 ESTIMATED = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
 SURVEY_M = np.array([0.02, 0.02, 0.03])
@@ -35,51 +35,42 @@ OFFSET = np.array([677000.0, 7184000.0, 900.0])
 
 
 @pytest.fixture(scope="module")
-def adjusted(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
+def adjusted(tmp_path_factory: pytest.TempPathFactory) -> Block:
     """An adjustment with the lens model of vision programs."""
     return made_of("brown-ideal", tmp_path_factory)
 
 
 @pytest.fixture(scope="module")
-def observed(tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
+def observed(tmp_path_factory: pytest.TempPathFactory) -> Block:
     """The same with that of photogrammetric ones."""
     return made_of("brown-observed", tmp_path_factory)
 
 
-def made_of(model: Model, tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
+def made_of(model: Model, tmp_path_factory: pytest.TempPathFactory) -> Block:
     """An adjustment of ours: 0.4 px of noise, every fifth point surveyed to 2 and 3 cm."""
     folder = tmp_path_factory.mktemp("own")
     values = {"c": 20.0, "x0": 0.05, "y0": -0.03, "K1": -1e-5, "K2": 1e-8, "P1": 1e-6, "P2": -2e-6}
     made = reconstruction_of((camera("1", model, "mm", (4608, 3456), (0.005, 0.005), values),))
-    seen = np.flatnonzero(np.bincount(made.point, minlength=len(made.xyz)) > 1)
-    keep = np.isin(made.point, seen)
-    survey = np.random.default_rng(5).normal(0, SURVEY_M, (len(seen), 3))
-    roles = tuple("control" if k % 5 == 0 else "tie" for k in range(len(seen)))
-    made = replace(
-        made,
-        point_names=tuple(made.point_names[j] for j in seen),
-        xyz=made.xyz[seen] + survey,
-        xyz_sigma=np.tile(SURVEY_M, (len(seen), 1)),
-        roles=roles,
-        image=made.image[keep],
-        point=np.searchsorted(seen, made.point[keep]),
-        pixels=made.pixels[keep],
-        residuals_px=made.residuals_px[keep],
-    )
+    made = with_roles(shown(made, 2), "control", "tie", "tie", "tie", "tie")
+    count = len(made.points.names)
+    survey = np.random.default_rng(5).normal(0, SURVEY_M, (count, 3))
+    sigma = np.tile(SURVEY_M, (count, 1))
+    made = replace(made, points=replace(made.points, values=made.points.values + survey, sigma=sigma))
     # Set-ups of photogrammetric programs state 1 px; of the others the sigma is estimated.
-    block = as_block(made, "own", 0.4 if model == "brown-ideal" else 1.0, ())
+    block = to_adjust(made, "own", 0.4 if model == "brown-ideal" else 1.0)
     estimated = np.array([name in ESTIMATED for name in PARAMETERS])
     block = replace(block, cameras=tuple(replace(own, estimated=estimated) for own in block.cameras))
     (folder / "block").mkdir()
     write_block(folder / "block", block)
     adjust_block(folder / "block", folder / "run")
     # Control keeps its survey: what programs take over is what was measured.
-    run = of_result(read_result(folder / "run"))
-    control = np.array([role == "control" for role in run.roles])
-    order = {name: k for k, name in enumerate(made.point_names)}
-    rows = [order[name] for name in run.point_names]
-    xyz = np.where(control[:, None], made.xyz[rows], run.xyz)
-    return replace(run, xyz=xyz, xyz_sigma=np.tile(SURVEY_M, (len(xyz), 1)))
+    run = of_result(read_result(folder / "run"))[0]
+    control = np.array([role == "control" for role in roles_of(run)])
+    order = {name: k for k, name in enumerate(made.points.names)}
+    rows = [order[name] for name in run.points.names]
+    xyz = np.where(control[:, None], made.points.values[rows], run.points.values)
+    points = replace(run.points, values=xyz, sigma=np.tile(SURVEY_M, (len(xyz), 1)))
+    return replace(run, points=points)
 
 
 def quiet(*_: Any) -> Any:
@@ -128,62 +119,72 @@ def digits(values: Any) -> list[str]:
     return [f"{float(value):.20f}" for value in values]
 
 
-def pix4d(folder: Path, given: Reconstruction) -> None:
+def pix4d(folder: Path, given: Block) -> None:
     """Write a params folder as its description has it; its first two tie points are manual ones."""
     own = given.cameras[0]
     pinhole, _ = to_pinhole(own, "Pix4D")
-    rotation, _ = to_vision(given.poses)
+    rotation, _ = to_vision(given.images.values)
     width, height = own.size_px
     head = "fileName imageWidth imageHeight \n" + "a line of the head\n" * 6 + "\n"
     blocks, errors, bingo = [], [ERRORS_HEAD], []
-    manual = [k for k, role in enumerate(given.roles) if role == "tie"][:2]
-    marked = [k for k, role in enumerate(given.roles) if role == "control"] + manual
-    for k, name in enumerate(given.image_names):
-        place = given.poses[k, 3:]
+    manual = [k for k, role in enumerate(roles_of(given)) if role == "tie"][:2]
+    marked = [k for k, role in enumerate(roles_of(given)) if role == "control"] + manual
+    for k, name in enumerate(given.images.names):
+        place = given.images.values[k, 3:]
         rows: list[Any] = [[pinhole.fx, 0, pinhole.cx + 0.5], [0, pinhole.fy, pinhole.cy + 0.5], [0, 0, 1]]
         rows += [[pinhole.k1, pinhole.k2, pinhole.k3], [pinhole.p1, pinhole.p2], place, *rotation[k].tolist()]
         blocks.append("\n".join([f"{name} {width} {height}", *(" ".join(digits(row)) for row in rows)]))
         there = place + OFFSET
         # All positions lie too low, by 2 cm as the user typed.
-        cells = [*there, *(there - [0, 0, SHIFT_M]), 0.02, 0.02, 0.02, *np.degrees(given.poses[k, :3])]
+        cells = [
+            *there,
+            *(there - [0, 0, SHIFT_M]),
+            0.02,
+            0.02,
+            0.02,
+            *np.degrees(given.images.values[k, :3]),
+        ]
         cells += [0.004] * 3 + [0.002] * 3 + [0.99]
         errors.append(", ".join([name, "0", "Own Camera_20.0_4608x3456 (RGB)(1)", *digits(cells)]))
         bingo.append(f"{Path(name).stem} H_{width * own.pitch[0]}_{height * own.pitch[1]}")
-        for ray in np.flatnonzero(given.image == k):
-            x = (given.pixels[ray, 0] - (width - 1) / 2) * own.pitch[0]
-            y = ((height - 1) / 2 - given.pixels[ray, 1]) * own.pitch[1]
-            point = given.point[ray]
+        for ray in np.flatnonzero(given.observations.image == k):
+            x = (given.observations.values[ray, 0] - (width - 1) / 2) * own.pitch[0]
+            y = ((height - 1) / 2 - given.observations.values[ray, 1]) * own.pitch[1]
+            point = given.observations.point[ray]
             prefix = "GCP_" if point in marked else ""
-            bingo.append(" ".join([f"{prefix}{given.point_names[point]}", *digits([x, y])]))
+            bingo.append(" ".join([f"{prefix}{given.points.names[point]}", *digits([x, y])]))
         bingo.append("-99")
     ground = [GROUND_HEAD]
     for k in marked:
-        there = given.xyz[k] + OFFSET
+        there = given.points.values[k] + OFFSET
         # Of manual tie points one has zeros, the other what the program computed in an earlier state.
         earlier = {manual[0]: np.zeros(3), manual[1]: there - np.array([0, 0, 0.28])}
         measured = earlier.get(k, there)
         weight = 1.0 if k in manual else 0.9999997
-        ground.append(", ".join([given.point_names[k], *digits([*measured, *there, weight]), "4"]))
+        ground.append(", ".join([given.points.names[k], *digits([*measured, *there, weight]), "4"]))
     for ending, text in (
         ("calibrated_camera_parameters.txt", head + "\n".join(blocks)),
         ("calibrated_external_camera_parameters_error.txt", "\n".join(errors)),
         ("offset.xyz", " ".join(digits(OFFSET))),
         ("measured_estimated_gcps_position.txt", "\n".join(ground)),
-        ("measured_gcps_position.txt", "\n".join(" ".join(digits(given.xyz[k] + OFFSET)) for k in marked)),
+        (
+            "measured_gcps_position.txt",
+            "\n".join(" ".join(digits(given.points.values[k] + OFFSET)) for k in marked),
+        ),
         ("tp_bingo.txt", "\n".join(bingo)),
     ):
         (folder / f"field 3_{ending}").write_text(text + "\n")
 
 
-def test_a_pix4d_project(tmp_path: Path, adjusted: Reconstruction, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pix4d_project(tmp_path: Path, adjusted: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     params = tmp_path / "1_initial" / "params"
     params.mkdir(parents=True)
     pix4d(params, adjusted)
     foreign = read_foreign_project(tmp_path)
     assert foreign.block.name == "field 3"
-    assert foreign.block.images.values[0, 3:] == pytest.approx(adjusted.poses[0, 3:] + OFFSET)
+    assert foreign.block.images.values[0, 3:] == pytest.approx(adjusted.images.values[0, 3:] + OFFSET)
     roles = [ROLES[k] for k in foreign.block.points.role]
-    assert roles.count("control") == adjusted.roles.count("control")
+    assert roles.count("control") == roles_of(adjusted).count("control")
     figures = adopted(tmp_path, monkeypatch)
     # The positions weigh in here and did not there; their common shift is found and told.
     shift = figures["positions"]
@@ -207,7 +208,7 @@ def test_parameters_are_rounded_by_their_sigma(value: float, sigma: float | None
 
 
 def test_parameters_are_in_the_units_of_the_program(
-    tmp_path: Path, adjusted: Reconstruction, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, adjusted: Block, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Pix4D's radial coefficients are of coordinates divided by the focal length."""
     pix4d(tmp_path, adjusted)
@@ -219,24 +220,26 @@ def test_parameters_are_in_the_units_of_the_program(
     assert float(shown["c"]) == pytest.approx(pinhole.fy, rel=1e-5)
 
 
-def test_manual_tie_points_are_no_control(tmp_path: Path, adjusted: Reconstruction) -> None:
+def test_manual_tie_points_are_no_control(tmp_path: Path, adjusted: Block) -> None:
     pix4d(tmp_path, adjusted)
     foreign = read_foreign_project(tmp_path)
     points = foreign.block.points
-    manual = [name for name, role in zip(adjusted.point_names, adjusted.roles, strict=True) if role == "tie"][
-        :2
-    ]
+    manual = [
+        name for name, role in zip(adjusted.points.names, roles_of(adjusted), strict=True) if role == "tie"
+    ][:2]
     assert [ROLES[points.role[points.names.index(name)]] for name in manual] == ["tie", "tie"]
     assert np.isnan(points.values[[points.names.index(name) for name in manual]]).all()
     assert "2 points have marks but were not surveyed: tie points" in foreign.remarks
     control = {
-        name for name, role in zip(adjusted.point_names, adjusted.roles, strict=True) if role == "control"
+        name
+        for name, role in zip(adjusted.points.names, roles_of(adjusted), strict=True)
+        if role == "control"
     }
     assert {points.names[k] for k in np.flatnonzero(points.of_role("control"))} == control
     assert set(foreign.adjusted) == control
 
 
-def test_variants_of_a_pix4d_project(tmp_path: Path, adjusted: Reconstruction) -> None:
+def test_variants_of_a_pix4d_project(tmp_path: Path, adjusted: Block) -> None:
     pix4d(tmp_path, adjusted)
     foreign = read_foreign_project(tmp_path)
     assert any("have no accuracy" in remark for remark in foreign.remarks)
@@ -244,9 +247,11 @@ def test_variants_of_a_pix4d_project(tmp_path: Path, adjusted: Reconstruction) -
     assert foreign.pose_sigma[0] == pytest.approx([*np.radians([0.002] * 3), *[0.004] * 3])
     # A table of its own with accuracies, line ends of another system, a comment and blank lines; an image
     # without a position.
-    control = [k for k, role in enumerate(adjusted.roles) if role == "control"]
+    control = [k for k, role in enumerate(roles_of(adjusted)) if role == "control"]
     rows = [
-        ", ".join([adjusted.point_names[k], *digits([*adjusted.xyz[k] + OFFSET, 0.05, 0.05, 0.07])])
+        ", ".join(
+            [adjusted.points.names[k], *digits([*adjusted.points.values[k] + OFFSET, 0.05, 0.05, 0.07])]
+        )
         for k in control
     ]
     table = next(tmp_path.glob("*3_measured_gcps_position.txt"))
@@ -282,7 +287,7 @@ def test_variants_of_a_pix4d_project(tmp_path: Path, adjusted: Reconstruction) -
     ],
 )
 def test_a_table_of_errors_without_its_head_is_refused(
-    tmp_path: Path, adjusted: Reconstruction, old: str, new: str, message: str
+    tmp_path: Path, adjusted: Block, old: str, new: str, message: str
 ) -> None:
     pix4d(tmp_path, adjusted)
     errors = next(tmp_path.glob("*_error.txt"))
@@ -291,7 +296,7 @@ def test_a_table_of_errors_without_its_head_is_refused(
         read_foreign_project(tmp_path)
 
 
-def test_surveyed_points_without_names_are_told(tmp_path: Path, adjusted: Reconstruction) -> None:
+def test_surveyed_points_without_names_are_told(tmp_path: Path, adjusted: Block) -> None:
     pix4d(tmp_path, adjusted)
     next(tmp_path.glob("*measured_estimated*")).unlink()
     foreign = read_foreign_project(tmp_path)
@@ -300,7 +305,7 @@ def test_surveyed_points_without_names_are_told(tmp_path: Path, adjusted: Recons
 
 
 @pytest.mark.parametrize("cut", [False, True])
-def test_a_damaged_pix4d_project_is_refused(tmp_path: Path, adjusted: Reconstruction, cut: bool) -> None:
+def test_a_damaged_pix4d_project_is_refused(tmp_path: Path, adjusted: Block, cut: bool) -> None:
     pix4d(tmp_path, adjusted)
     cameras = next(tmp_path.glob("*calibrated_camera_parameters.txt"))
     text = cameras.read_text()
@@ -313,7 +318,7 @@ def test_a_damaged_pix4d_project_is_refused(tmp_path: Path, adjusted: Reconstruc
 
 
 def test_a_pix4d_project_without_positions_is_the_same_camera(
-    tmp_path: Path, adjusted: Reconstruction, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, adjusted: Block, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pix4d(tmp_path, adjusted)
     next(tmp_path.glob("*_error.txt")).unlink()
@@ -322,28 +327,25 @@ def test_a_pix4d_project_without_positions_is_the_same_camera(
 
 @pytest.mark.parametrize("form", ["colmap", "opensfm"])
 def test_models_with_a_list_of_control(
-    tmp_path: Path, adjusted: Reconstruction, form: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, adjusted: Block, form: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ties = np.array([role == "tie" for role in adjusted.roles])
-    rays = ties[adjusted.point]
-    bare = replace(
-        adjusted,
-        roles=("tie",) * int(ties.sum()),
-        point_names=tuple(name for name, tie in zip(adjusted.point_names, ties, strict=True) if tie),
-        xyz=adjusted.xyz[ties],
-        xyz_sigma=adjusted.xyz_sigma[ties],
-        image=adjusted.image[rays],
-        point=(np.cumsum(ties) - 1)[adjusted.point[rays]],
-        pixels=adjusted.pixels[rays],
-        residuals_px=adjusted.residuals_px[rays],
-    )
+    ties = np.array([role == "tie" for role in roles_of(adjusted)])
+    rays = ties[adjusted.observations.point]
+    seen = adjusted.observations.rows(rays)
+    seen = replace(seen, point=(np.cumsum(ties) - 1)[seen.point])
+    bare = replace(adjusted, points=adjusted.points.only(ties), observations=seen)
     named(form).write(tmp_path, bare, Choices())
     # The list is in map coordinates, whose scale is not that of the ground.
-    mapped = given_places(ReferenceFrame("EPSG:32722", OFFSET), adjusted.xyz)
+    mapped = given_places(ReferenceFrame("EPSG:32722", OFFSET), adjusted.points.values)
     rows = [
         " ".join([*(repr(float(v)) for v in mapped[j]), repr(float(x)), repr(float(y))])
-        + f" {adjusted.image_names[i]} P{adjusted.point_names[j]}"
-        for i, j, (x, y) in zip(adjusted.image, adjusted.point, adjusted.pixels, strict=True)
+        + f" {adjusted.images.names[i]} P{adjusted.points.names[j]}"
+        for i, j, (x, y) in zip(
+            adjusted.observations.image,
+            adjusted.observations.point,
+            adjusted.observations.values,
+            strict=True,
+        )
         if not ties[j]
     ]
     (tmp_path / "gcp_list.txt").write_text("\n".join(["EPSG:32722", *rows]) + "\n")
@@ -354,22 +356,28 @@ def test_models_with_a_list_of_control(
 
 
 def test_gross_errors_are_taken_out_and_told(
-    tmp_path: Path, adjusted: Reconstruction, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, adjusted: Block, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One ray in fifty is wrong by 30 px, and two control points are exchanged: the camera stays the same."""
-    pixels, xyz = adjusted.pixels.copy(), adjusted.xyz.copy()
-    role = np.array(adjusted.roles)
-    rays = np.bincount(adjusted.point, minlength=len(role))
-    wrong = np.flatnonzero((role[adjusted.point] == "tie") & (rays[adjusted.point] == rays.max()))[::50]
+    pixels, xyz = adjusted.observations.values.copy(), adjusted.points.values.copy()
+    role = np.array(roles_of(adjusted))
+    rays = np.bincount(adjusted.observations.point, minlength=len(role))
+    wrong = np.flatnonzero(
+        (role[adjusted.observations.point] == "tie") & (rays[adjusted.observations.point] == rays.max())
+    )[::50]
     pixels[wrong] += [30.0, -20.0]
     a, b = np.flatnonzero((role == "control") & (rays > 1))[[1, 5]]
     xyz[[a, b]] = xyz[[b, a]]
-    pix4d(tmp_path, replace(adjusted, pixels=pixels, xyz=xyz))
+    seen, points = replace(adjusted.observations, values=pixels), replace(adjusted.points, values=xyz)
+    pix4d(tmp_path, replace(adjusted, points=points, observations=seen))
     figures = adopted(tmp_path, monkeypatch)
-    names = adjusted.point_names
+    names = adjusted.points.names
     listed = (tmp_path / "adopted" / "rays-left-out.csv").read_text().splitlines()[1:]
     left = {tuple(line.split(",")[:2]) for line in listed}
-    injected = {(adjusted.image_names[adjusted.image[k]], names[adjusted.point[k]]) for k in wrong}
+    injected = {
+        (adjusted.images.names[adjusted.observations.image[k]], names[adjusted.observations.point[k]])
+        for k in wrong
+    }
     assert injected <= left
     # Rays of points that lose one of two may go with it.
     assert len(left) < 2 * len(injected) + 10
@@ -381,21 +389,22 @@ def test_gross_errors_are_taken_out_and_told(
     assert found["image coordinates of tie points"] == pytest.approx(0.4, rel=0.1)
 
 
-def test_names_of_images_may_have_blanks_and_come_twice(tmp_path: Path, adjusted: Reconstruction) -> None:
-    count = len(adjusted.image_names)
+def test_names_of_images_may_have_blanks_and_come_twice(tmp_path: Path, adjusted: Block) -> None:
+    count = len(adjusted.images.names)
     # The same names in two folders, of which the program writes the last part only.
     names = tuple(f"S\u00e3o Jo\u00e3o {k % (count // 2):04d}.JPG" for k in range(count))
-    pix4d(tmp_path, replace(adjusted, image_names=names))
+    pix4d(tmp_path, replace(adjusted, images=replace(adjusted.images, names=names)))
     bingo = next(tmp_path.glob("*tp_bingo.txt"))
     bingo.write_text(bingo.read_text().replace(" H_", " Canon EOS 5D_H_"))
     foreign = read_foreign_project(tmp_path)
     assert len(set(foreign.block.images.names)) == count
     assert np.isfinite(foreign.position).all()
     seen = foreign.block.observations
-    assert np.bincount(seen.image).tolist() == np.bincount(adjusted.image).tolist()
+    assert np.bincount(seen.image).tolist() == np.bincount(adjusted.observations.image).tolist()
     places = {name: k for k, name in enumerate(foreign.block.points.names)}
-    k = len(adjusted.image) - 1
+    k = len(adjusted.observations.image) - 1
     (row,) = np.flatnonzero(
-        (seen.image == adjusted.image[k]) & (seen.point == places[adjusted.point_names[adjusted.point[k]]])
+        (seen.image == adjusted.observations.image[k])
+        & (seen.point == places[adjusted.points.names[adjusted.observations.point[k]]])
     )
-    assert seen.values[row] == pytest.approx(adjusted.pixels[k], abs=1e-6)
+    assert seen.values[row] == pytest.approx(adjusted.observations.values[k], abs=1e-6)

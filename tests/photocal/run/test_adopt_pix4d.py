@@ -18,9 +18,10 @@ from hypothesis import strategies as st
 from pyproj import CRS
 
 from photocal.base.errors import PhotocalError
+from photocal.block.model import Block
 from photocal.block.writer import write_block
+from photocal.exchange.exporting import of_result
 from photocal.exchange.formats import read_foreign_project
-from photocal.exchange.reconstruction import Reconstruction, as_block, of_result
 from photocal.geometry.camera import PARAMETERS, camera
 from photocal.geometry.frames import ReferenceFrame
 from photocal.geometry.oriented_images import given_places, given_poses
@@ -29,7 +30,7 @@ from photocal.results.folder import read_result
 from photocal.results.result import Result
 from photocal.run import adopt as module
 from photocal.run.adoption_figures import adoption_text
-from tests.photocal.exchange.conftest import reconstruction_of
+from tests.photocal.exchange.conftest import reconstruction_of, roles_of, shown, to_adjust, with_roles
 from tests.photocal.exchange.pix4d_folder import write_params, write_report
 
 ESTIMATED = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
@@ -41,7 +42,7 @@ SYSTEM, MIDDLE = "EPSG:32722", np.array([677000.0, 7184000.0, 900.0])
 class Own:
     """A block of ours: as it was adjusted, with its control as surveyed, and its result."""
 
-    given: Reconstruction
+    given: Block
     estimated: np.ndarray[Any, np.dtype[np.float64]]
     result: Result
 
@@ -54,39 +55,34 @@ def made_of(folder: Path, cameras: int) -> Own:
         for k in range(cameras)
     )
     made = reconstruction_of(lenses, 6 * cameras, 40 if cameras == 1 else 90)
-    seen = np.flatnonzero(np.bincount(made.point, minlength=len(made.xyz)) > 1)
-    keep = np.isin(made.point, seen)
+    made = shown(made, 2)
+    made = with_roles(made, "control", *("tie",) * 4, "check", *("tie",) * 4)
     # The survey errs in the map, where it was made.
     frame = ReferenceFrame(SYSTEM, MIDDLE)
-    survey = np.random.default_rng(5).normal(0, SURVEY_M, (len(seen), 3))
-    roles = tuple("check" if k % 10 == 5 else "control" if k % 5 == 0 else "tie" for k in range(len(seen)))
+    count = len(made.points.names)
+    survey = np.random.default_rng(5).normal(0, SURVEY_M, (count, 3))
+    surveyed_m, sigma = given_places(frame, made.points.values) + survey, np.tile(SURVEY_M, (count, 1))
     made = replace(
         made,
-        poses=given_poses(frame, made.poses),
-        point_names=tuple(made.point_names[j] for j in seen),
-        xyz=given_places(frame, made.xyz[seen]) + survey,
-        xyz_sigma=np.tile(SURVEY_M, (len(seen), 1)),
-        roles=roles,
-        image=made.image[keep],
-        point=np.searchsorted(seen, made.point[keep]),
-        pixels=made.pixels[keep],
-        residuals_px=made.residuals_px[keep],
+        images=replace(made.images, values=given_poses(frame, made.images.values)),
+        points=replace(made.points, values=surveyed_m, sigma=sigma),
         frame=SYSTEM,
         height="ellipsoidal",
     )
-    block = as_block(made, "own", 0.4, ())
+    block = to_adjust(made, "own", 0.4)
     estimated = np.array([name in ESTIMATED for name in PARAMETERS])
     block = replace(block, cameras=tuple(replace(own, estimated=estimated) for own in block.cameras))
     (folder / "block").mkdir()
     write_block(folder / "block", block)
     adjust_block(folder / "block", folder / "run")
     result = read_result(folder / "run")
-    run = of_result(result)
-    order = {name: k for k, name in enumerate(made.point_names)}
-    rows = [order[name] for name in run.point_names]
-    surveyed = np.array([role != "tie" for role in run.roles])
-    xyz = np.where(surveyed[:, None], made.xyz[rows], run.xyz)
-    return Own(replace(run, xyz=xyz, xyz_sigma=np.tile(SURVEY_M, (len(xyz), 1))), run.xyz, result)
+    run = of_result(result)[0]
+    order = {name: k for k, name in enumerate(made.points.names)}
+    rows = [order[name] for name in run.points.names]
+    surveyed = np.array([role != "tie" for role in roles_of(run)])
+    xyz = np.where(surveyed[:, None], made.points.values[rows], run.points.values)
+    points = replace(run.points, values=xyz, sigma=np.tile(SURVEY_M, (len(xyz), 1)))
+    return Own(replace(run, points=points), run.points.values, result)
 
 
 @pytest.fixture(scope="module")
@@ -105,9 +101,9 @@ def project(folder: Path, own: Own) -> Path:
     """Write the whole project: params and report where Pix4D has them; two manual tie points."""
     params = folder / "1_initial" / "params"
     params.mkdir(parents=True)
-    ties = [k for k, role in enumerate(own.given.roles) if role == "tie"][:2]
+    ties = [k for k, role in enumerate(roles_of(own.given)) if role == "tie"][:2]
     system = CRS(SYSTEM).to_wkt("WKT1_ESRI")
-    offset = np.round(own.given.poses[0, 3:])
+    offset = np.round(own.given.images.values[0, 3:])
     write_params(
         params, own.given, manual=ties, system=system, offset=offset, estimated=own.estimated, accuracy_m=50.0
     )
@@ -145,7 +141,9 @@ def test_our_own_figures_come_back(
         assert c["sigma"] == pytest.approx(c["their_sigma"], rel=0.1)
     roles = {row["point"]: row["role"] for row in figures["control"]}
     expected = {
-        name: role for name, role in zip(own.given.point_names, own.given.roles, strict=True) if role != "tie"
+        name: role
+        for name, role in zip(own.given.points.names, roles_of(own.given), strict=True)
+        if role != "tie"
     }
     assert roles == expected
     sigma = dict(zip(own.result.points.names, own.result.points.sigma, strict=True))
@@ -182,10 +180,10 @@ def test_a_camera_that_was_never_estimated_is_named(
     params = project(tmp_path / "field", one)
     cameras = next(params.glob("*3_calibrated_camera_parameters.txt"))
     lines = cameras.read_text().split("\n")
-    count = len(one.given.image_names)
+    count = len(one.given.images.names)
     for k in range(count):
         at = 8 + 10 * k
-        assert one.given.image_names[k] in lines[at]
+        assert one.given.images.names[k] in lines[at]
         lines[at + 1 : at + 4] = ["3990 0 2304", "0 3990 1728", "0 0 1"]
         lines[at + 4 : at + 6] = ["0 0 0", "0 0"]
     cameras.write_text("\n".join(lines))

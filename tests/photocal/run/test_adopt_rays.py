@@ -10,12 +10,11 @@ import pytest
 from photocal.block.model import Block
 from photocal.block.rig import Head
 from photocal.exchange.foreign_project import ForeignProject
-from photocal.exchange.reconstruction import as_block
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.run.adopt_rays import LEAST_PARALLAX_PX, without_what_hangs_loose
-from tests.photocal.exchange.conftest import reconstruction_of, vision_camera
+from tests.photocal.exchange.conftest import reconstruction_of, to_adjust, vision_camera, with_roles
 
 APART_M = 0.05
 
@@ -47,7 +46,7 @@ def beside(block: Block, apart_m: float, points: int) -> Block:
 
 def own() -> Block:
     made = reconstruction_of((vision_camera(),))
-    return as_block(replace(made, roles=("tie",) * len(made.roles)), "own", 0.4, ())
+    return to_adjust(with_roles(made, "tie"), "own", 0.4)
 
 
 @pytest.mark.parametrize(("apart_m", "left"), [(APART_M, 0), (100 * APART_M, 7)])
@@ -65,7 +64,7 @@ def test_points_without_parallax_are_left_out(apart_m: float, left: int) -> None
 
 def test_a_head_without_rays_is_named_and_leaves_its_frame() -> None:
     made = reconstruction_of((vision_camera(), replace(vision_camera(), id="blind")))
-    block = as_block(replace(made, roles=("tie",) * len(made.roles)), "own", 0.4, ())
+    block = to_adjust(with_roles(made, "tie"), "own", 0.4)
     none = np.zeros(7)
     heads = tuple(Head(camera.id, block.cameras[0].id, np.zeros(3), none, none) for camera in block.cameras)
     seen = block.observations

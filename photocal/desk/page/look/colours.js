@@ -38,6 +38,11 @@ export function number(value, language, digits = 3) {
   return new Intl.NumberFormat(language, { maximumSignificantDigits: digits, useGrouping: false }).format(value).replace("-", "\u2212");
 }
 
+/** A number with so many decimals, as the language writes it. */
+export function fixed(value, language, digits) {
+  return new Intl.NumberFormat(language, { minimumFractionDigits: digits, maximumFractionDigits: digits, useGrouping: false }).format(value).replace("-", "\u2212");
+}
+
 /** The usual distance of a place from its nearest neighbour, m. */
 export function usualSpacing(places) {
   const known = places.filter((place) => place[0] !== null);

@@ -13,7 +13,7 @@ import { spaceView } from "./space.js";
 const VIEWS = { map: blockMap, space: spaceView, plots: plotsPane };
 
 export async function mount(element, context) {
-  for (const path of ["/look/look.css", "/vendor/ol.css", "/vendor/uplot.css"]) styles(path);
+  for (const path of ["/look/look.css", "/look/viewer.css", "/vendor/ol.css", "/vendor/uplot.css"]) styles(path);
   let here = await read(element, context, again);
   return { leave: () => here.leave?.(), route: (parts) => here.route?.(parts) };
 

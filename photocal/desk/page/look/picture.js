@@ -1,8 +1,9 @@
 // Pictures, by OpenSeadragon on tiles: observations and residual vectors above, all pictures of a point beside.
 
-import { fill, h, script } from "../dom.js";
+import { fill, h } from "../dom.js";
 import { CHOSEN, KINDS, metres, number, quantile, round } from "./colours.js";
-import { crop, thumbnail, tileSource } from "./tiles.js";
+import { crop, thumbnail } from "./tiles.js";
+import { label, outlined, pictureViewer } from "./viewer.js";
 
 const ENLARGED = [1, 10, 20, 50, 100, 200, 500, 1000];
 // A vector of usual length is drawn so long, px of the screen.
@@ -21,24 +22,21 @@ export function picturePane(shared) {
   let told = null;
   let asked = "";
   let factor = 100;
-  let viewer = null;
   let zoomTo = null;
   let shown = null;
   let last = null;
   let drawnStrip = null;
   const chooser = h("select", { id: "picture-name", "aria-label": say("look.picture"), onchange: () => selection.image(chooser.value) }, h("option", { value: "" }, say("look.no-picture")), names.map((name) => h("option", { value: name }, name)));
-  const enlarge = h("select", { id: "picture-factor", onchange: () => ((factor = Number(enlarge.value)), draw()) }, ENLARGED.map((n) => h("option", { value: n, selected: n === factor }, `× ${n}`)));
+  const enlarge = h("select", { id: "picture-factor", onchange: () => ((factor = Number(enlarge.value)), viewer.draw()) }, ENLARGED.map((n) => h("option", { value: n, selected: n === factor }, `× ${n}`)));
   const facts = h("span.facts", {});
   const leave = h("button.small", { type: "button", title: `${say("look.leave-out")} (l)`, disabled: true, onclick: () => shared.leaving.ask(selection.current()) }, say("look.leave-out"));
-  const mark = h("button.small", { type: "button", "aria-pressed": "false", disabled: true, hidden: !block.marking, onclick: () => marking(mark.getAttribute("aria-pressed") !== "true") }, say("look.mark"));
+  const mark = h("button.small", { type: "button", disabled: true, hidden: !block.marking, onclick: () => shared.go(toMark(selection.now.points[0], told.name)) }, say("look.mark"));
   const bar = h("div.bar", {}, h("button.small", { type: "button", onclick: () => step(-1), "aria-label": say("look.before"), title: `${say("look.before")} (,)` }, "‹"), chooser, h("button.small", { type: "button", onclick: () => step(1), "aria-label": say("look.after"), title: `${say("look.after")} (.)` }, "›"), facts, h("label.factor", { for: "picture-factor" }, say("look.vectors"), enlarge), mark, leave);
-  const stage = h("div.stage", {});
-  const canvas = h("canvas.marks", { "aria-hidden": "true" });
+  const viewer = pictureViewer({ tile: block.tile_px, paint: draw, clicked });
   const message = h("p.message", { role: "status" }, say("look.choose-picture"));
   const strip = h("div.strip", { role: "list", "aria-label": say("look.pictures-of") });
-  const element = h("div.picture", {}, bar, h("div.both", {}, strip, h("div.frame", {}, stage, canvas, message)));
-  const seen = new ResizeObserver(() => draw());
-  seen.observe(canvas.parentElement);
+  const element = h("div.picture", {}, bar, h("div.both", {}, strip, viewer.element));
+  viewer.element.append(message);
   const unlisten = selection.listen(changed);
   // What was left out just now is told at its crop.
   shared.leaving.listen(() => strip.dataset.kind?.startsWith("point ") && drawnStrip?.());
@@ -53,7 +51,7 @@ export function picturePane(shared) {
 
   async function changed(now) {
     leave.disabled = !selection.current();
-    draw();
+    viewer.draw();
     // Pictures of a point that became known are no other selection.
     if (now === last) return;
     last = now;
@@ -97,7 +95,7 @@ export function picturePane(shared) {
   /** Pictures that should show a surveyed point but have no mark of it, the most useful first. */
   async function unmarked(name, marked) {
     try {
-      const { images } = await shared.get(`/api/look/marks/images?point=${encodeURIComponent(name)}`);
+      const { images } = await shared.get(`/api/mark/images?point=${encodeURIComponent(name)}`);
       return images.filter((one) => one.probability > LIKELY && one.x !== null && !marked.includes(one.name)).slice(0, MOST_OPEN);
     } catch {
       return [];
@@ -105,11 +103,7 @@ export function picturePane(shared) {
   }
 
   function openOf(point, one) {
-    const look = async () => {
-      selection.observation(one.name, point);
-      await goTo(one.name, [one.x, one.y]);
-      marking(true);
-    };
+    const look = () => shared.go(toMark(point, one.name));
     return h("div.crop.open-mark", { role: "listitem" }, h("button.open", { type: "button", onclick: look }, crop(one.name, [one.x, one.y], [null, null], block.tile_px), h("span.name", {}, one.name)), h("button.small", { type: "button", "aria-label": say("look.mark-in", { point, image: one.name }), onclick: look }, say("look.mark")));
   }
 
@@ -156,7 +150,6 @@ export function picturePane(shared) {
     if (asked === name) return;
     asked = name;
     chooser.value = name;
-    marking(false);
     try {
       const answer = await shared.get(`/api/look/picture?name=${encodeURIComponent(name)}`);
       if (asked !== name) return;
@@ -169,15 +162,11 @@ export function picturePane(shared) {
     tellFacts();
     suitFactor();
     mark.disabled = Boolean(told.reason);
-    if (told.reason) {
-      viewer?.close();
-      tell(told.reason === "is not in the folder of pictures" ? say("look.no-picture-there") : told.reason);
-      blank();
-    } else {
-      tell("");
-      await show();
-    }
-    draw();
+    // Without a picture the frame of it: observations are seen all the same.
+    message.classList.toggle("above", Boolean(told.reason));
+    tell(told.reason === "is not in the folder of pictures" ? say("look.no-picture-there") : told.reason);
+    await viewer.open(told, zoom, Boolean(told.reason));
+    viewer.draw();
   }
 
   function tell(text) {
@@ -185,49 +174,9 @@ export function picturePane(shared) {
     message.hidden = !text;
   }
 
-  async function show() {
-    await script("/vendor/openseadragon.js");
-    viewer ??= makeViewer();
-    viewer.open(tileSource(told, block.tile_px));
-  }
-
-  /** Without a picture the frame of it: observations are seen all the same. */
-  function blank() {
-    message.classList.add("above");
-    script("/vendor/openseadragon.js").then(() => {
-      viewer ??= makeViewer();
-      viewer.open({ width: told.size_px[0], height: told.size_px[1], tileSize: 4096, getTileUrl: () => "/icon.svg", tileExists: () => false });
-    });
-  }
-
-  function makeViewer() {
-    const made = window.OpenSeadragon({
-      element: stage,
-      drawer: "canvas",
-      showNavigationControl: false,
-      animationTime: 0.25,
-      springStiffness: 12,
-      maxZoomPixelRatio: 40,
-      minZoomImageRatio: 0.8,
-      imageSmoothingEnabled: false,
-      maxImageCacheCount: 24,
-      gestureSettingsMouse: { clickToZoom: false, dblClickToZoom: true },
-      placeholderFillStyle: "#e4e8eb",
-    });
-    made.addHandler("open", () => {
-      made.viewport.setRotation(told?.turn ?? 0, true);
-      zoom();
-      draw();
-    });
-    for (const event of ["update-viewport", "animation", "resize"]) made.addHandler(event, draw);
-    made.addHandler("canvas-click", (event) => event.quick && clicked(event.position));
-    return made;
-  }
-
   function zoom() {
-    if (!zoomTo || !viewer?.world.getItemCount()) return;
-    const half = MARK_PX;
-    viewer.viewport.fitBounds(viewer.viewport.imageToViewportRectangle(zoomTo[0] + 0.5 - half, zoomTo[1] + 0.5 - half, 2 * half, 2 * half), true);
+    if (!zoomTo || !viewer.ready) return;
+    viewer.goTo(zoomTo, MARK_PX);
     zoomTo = null;
   }
 
@@ -240,7 +189,8 @@ export function picturePane(shared) {
 
   /** Pixels of the screen for one of the picture seen whole: vectors stay as long when one zooms. */
   function shrunk() {
-    return Math.max(Math.min(canvas.clientWidth / told.size_px[0], canvas.clientHeight / told.size_px[1]), 0.1);
+    const { clientWidth: width, clientHeight: height } = viewer.element;
+    return Math.max(Math.min(width / told.size_px[0], height / told.size_px[1]), 0.1);
   }
 
   /** The enlargement with which usual residuals are seen. */
@@ -251,30 +201,17 @@ export function picturePane(shared) {
     enlarge.value = factor;
   }
 
-  /** From the picture's columns and rows (the middle of the first pixel is 0, 0) to the screen. */
-  function onScreen([x, y]) {
-    const at = viewer.world.getItemAt(0).imageToViewerElementCoordinates(new window.OpenSeadragon.Point(x + 0.5, y + 0.5));
-    return [at.x, at.y];
-  }
-
-  function draw() {
-    const { clientWidth: width, clientHeight: height } = canvas;
-    const ratio = devicePixelRatio || 1;
-    if (canvas.width !== Math.round(width * ratio)) canvas.width = Math.round(width * ratio);
-    if (canvas.height !== Math.round(height * ratio)) canvas.height = Math.round(height * ratio);
-    const pen = canvas.getContext("2d");
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.clearRect(0, 0, width, height);
-    if (!told?.place || !viewer?.world.getItemCount()) return;
+  function draw(pen, width, height) {
+    if (!told?.place) return;
     const scale = factor * shrunk();
     const chosen = new Set(selection.now.points);
     edge(pen);
     told.place.forEach((place, k) => {
-      const [x, y] = onScreen(place);
+      const [x, y] = viewer.onScreen(place);
       if (x < -60 || y < -60 || x > width + 60 || y > height + 60) return;
       ray(pen, [x, y], told.residual_px[k], scale, { role: told.role[k], far: told.in_sigmas[k] > FAR, name: told.points[k], chosen: chosen.has(told.points[k]) });
     });
-    for (const { point, place } of told.predicted ?? []) predicted(pen, onScreen(place), point, chosen.has(point));
+    for (const { point, place } of told.predicted ?? []) predicted(pen, viewer.onScreen(place), point, chosen.has(point));
     scaleBar(pen, scale, height);
   }
 
@@ -284,7 +221,7 @@ export function picturePane(shared) {
     pen.strokeStyle = "#7a868e";
     pen.lineWidth = 1;
     pen.beginPath();
-    [[-0.5, -0.5], [right, -0.5], [right, low], [-0.5, low]].forEach((corner, k) => (k ? pen.lineTo(...onScreen(corner)) : pen.moveTo(...onScreen(corner))));
+    [[-0.5, -0.5], [right, -0.5], [right, low], [-0.5, low]].forEach((corner, k) => (k ? pen.lineTo(...viewer.onScreen(corner)) : pen.moveTo(...viewer.onScreen(corner))));
     pen.closePath();
     pen.stroke();
   }
@@ -294,7 +231,7 @@ export function picturePane(shared) {
     if (residual[0] === null) {
       outlined(pen, "#7a868e", 1.5, () => (pen.moveTo(x - 4, y - 4), pen.lineTo(x + 4, y + 4), pen.moveTo(x + 4, y - 4), pen.lineTo(x - 4, y + 4)));
     } else {
-      const angle = ((told.turn ?? 0) * Math.PI) / 180;
+      const angle = viewer.angle();
       const [u, v] = [residual[0] * Math.cos(angle) - residual[1] * Math.sin(angle), residual[0] * Math.sin(angle) + residual[1] * Math.cos(angle)];
       outlined(pen, colour, far || role !== "tie" ? 2 : 1.25, () => (pen.moveTo(x, y), pen.lineTo(x + u * scale, y + v * scale)));
     }
@@ -314,44 +251,20 @@ export function picturePane(shared) {
     label(pen, `${name}?`, x + 13, y - 9, INKY);
   }
 
-  function clicked(position) {
-    if (!told || !viewer.world.getItemCount()) return;
-    if (mark.getAttribute("aria-pressed") === "true") {
-      const at = viewer.world.getItemAt(0).viewerElementToImageCoordinates(position);
-      putMark(at.x - 0.5, at.y - 0.5);
-      return;
-    }
+  function clicked(left, top) {
+    if (!told) return;
     let best = 14;
     let found = null;
     told.place.forEach((place, k) => {
-      const [x, y] = onScreen(place);
-      const away = Math.hypot(x - position.x, y - position.y) - (told.role[k] === "tie" ? 0 : 4);
+      const [x, y] = viewer.onScreen(place);
+      const away = Math.hypot(x - left, y - top) - (told.role[k] === "tie" ? 0 : 4);
       if (away < best) [best, found] = [away, told.points[k]];
     });
     for (const { point, place } of told.predicted ?? []) {
-      const [x, y] = onScreen(place);
-      if (Math.hypot(x - position.x, y - position.y) < best) found = point;
+      const [x, y] = viewer.onScreen(place);
+      if (Math.hypot(x - left, y - top) < best) found = point;
     }
     if (found) selection.observation(told.name, found);
-  }
-
-  function marking(on) {
-    mark.setAttribute("aria-pressed", on);
-    stage.classList.toggle("marking", on);
-    if (on && selection.now.points.length !== 1) shared.announce(say("look.mark-which"));
-  }
-
-  async function putMark(x, y) {
-    const point = selection.now.points[0];
-    if (!point) return shared.announce(say("look.mark-which"));
-    try {
-      await shared.post("/api/look/marks/mark", { image: told.name, point, x, y });
-      shared.announce(say("look.marked", { point, image: told.name }));
-      facts.textContent = say("look.marked", { point, image: told.name });
-    } catch (refusal) {
-      facts.textContent = refusal.message;
-    }
-    marking(false);
   }
 
   function scaleBar(pen, scale, height) {
@@ -375,29 +288,13 @@ export function picturePane(shared) {
 
   function leavePane() {
     unlisten();
-    seen.disconnect();
-    viewer?.destroy();
+    viewer.destroy();
   }
 }
 
 const INKY = "#14202a";
 
-/** A line with a white rim: seen on dark and on light ground. */
-function outlined(pen, colour, width, path) {
-  for (const [style, wide] of [["#ffffffc0", width + 2.5], [colour, width]]) {
-    pen.beginPath();
-    path();
-    pen.strokeStyle = style;
-    pen.lineWidth = wide;
-    pen.stroke();
-  }
-}
-
-function label(pen, text, x, y, colour) {
-  pen.font = "600 12px system-ui, sans-serif";
-  pen.lineWidth = 3.5;
-  pen.strokeStyle = "#fff";
-  pen.strokeText(text, x, y);
-  pen.fillStyle = colour;
-  pen.fillText(text, x, y);
+/** The place Mark at a point in a picture. */
+function toMark(point, image) {
+  return `#/mark/${encodeURIComponent(point ?? "")}/${encodeURIComponent(image)}`;
 }

@@ -6,7 +6,7 @@ const kept = new Map();
 const MOST_KEPT = 48;
 
 function address(name, level, column, row) {
-  return `/api/look/tiles/${encodeURIComponent(name)}/${level}/${column}/${row}`;
+  return `/api/tiles/${encodeURIComponent(name)}/${level}/${column}/${row}`;
 }
 
 /** The first level that is one tile. */

@@ -87,7 +87,7 @@ def test_an_orthophoto_lies_beneath_the_map(client: Client, finished: Path) -> N
 
 
 def test_tiles_are_those_of_the_pictures_and_of_nothing_else(client: Client, finished: Path) -> None:
-    whole = Image.open(BytesIO(client.get("/api/look/tiles/p1.png/0/0/0").body))
+    whole = Image.open(BytesIO(client.get("/api/tiles/p1.png/0/0/0").body))
     assert whole.size == (480, 360)
     (finished / "images" / "link.png").symlink_to("/etc/passwd")
     for name in (
@@ -98,7 +98,7 @@ def test_tiles_are_those_of_the_pictures_and_of_nothing_else(client: Client, fin
         "none.png",
         "link.png",
     ):
-        answer = client.get(f"/api/look/tiles/{name}/0/0/0")
+        answer = client.get(f"/api/tiles/{name}/0/0/0")
         assert answer.status == 404, name
         assert b"root:" not in answer.body
 
@@ -170,14 +170,14 @@ def test_points_are_predicted_and_marked_in_the_same_pictures(finished: Path, tm
     site = flight()
     with opened(finished, tmp_path / "cache") as client:
         assert client.get("/api/look").json["marking"] is True
-        seen = {one["name"]: one for one in client.get("/api/look/marks/images?point=P3").json["images"]}
+        seen = {one["name"]: one for one in client.get("/api/mark/images?point=P3").json["images"]}
         k = max(range(8), key=lambda k: seen[site.names[k]].get("probability", 0.0))
         truth = site.views.project(np.array([k]), np.array([[*places["P3"], 0.0]]))[0]
         there = seen[site.names[k]]
         assert [there["x"], there["y"]] == pytest.approx(truth, abs=3.0)
         click = {"image": site.names[k], "point": "P3", "x": there["x"], "y": there["y"]}
-        assert client.post("/api/look/marks/mark", click).json["snapped"] == "hourglass"
-        (mark,) = client.get("/api/look/marks").json["marks"]
+        assert client.post("/api/mark/mark", click).json["snapped"] == "hourglass"
+        (mark,) = client.get("/api/mark/state").json["marks"]
         assert [mark["x"], mark["y"]] == pytest.approx(truth, abs=0.3)
     (kept,) = read_marks(finished / "marks.csv")
     assert (kept.image, kept.point) == (site.names[k], "P3")

@@ -15,6 +15,7 @@ import rasterio  # type: ignore[import-untyped]
 
 from tests.photocal.desk.client import opened
 from tests.photocal.desk.look.surveys import GROSS_IMAGE, GROSS_POINT
+from tests.photocal.desk.watch import serious, watched
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -26,7 +27,6 @@ expect = pytest.importorskip(
 PATIENCE_MS = 60_000
 # A run takes ten seconds where nobody else works.
 RUN_MS = 300_000
-AXE = Path(__file__).parents[1] / "vendor" / "axe.min.js"
 HOSTILE = "<img src=x onerror=window.hacked=1>"
 
 
@@ -39,18 +39,12 @@ def looking(
         page = browser.new_page(viewport={"width": 1366, "height": 768}, locale=language)
         page.set_default_timeout(PATIENCE_MS)
         expect.set_options(timeout=PATIENCE_MS)
-        wrong: list[str] = []
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.on("request", lambda asked: wrong.append(asked.url) if _foreign(asked.url, client.url) else None)
+        wrong = watched(page, client.url)
         page.goto(f"{client.url}/#/look{place}")
         expect(page.locator(".findings .summary")).to_be_visible()
         yield page
         page.close()
-        assert wrong == []
-
-
-def _foreign(url: str, own: str) -> bool:
-    return not url.startswith((own, "data:", "blob:"))
+        assert wrong == [], wrong
 
 
 def lit(page: Page) -> int:
@@ -59,17 +53,6 @@ def lit(page: Page) -> int:
         "document.getElementById('view-map').blockMap.getLayers().getArray().at(-1).getSource().getFeatures()"
     )
     return int(page.evaluate(f"{asked}.length"))
-
-
-def serious(page: Page) -> list[str]:
-    """What axe-core holds against the page, that is serious or critical."""
-    page.evaluate(AXE.read_text(encoding="utf-8"))
-    found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
-    return [
-        f"{one['id']}: {one['nodes'][0]['html'][:120]}"
-        for one in found["violations"]
-        if one["impact"] in ("serious", "critical")
-    ]
 
 
 def test_a_gross_mark_is_found_seen_left_out_and_its_reason_certified(

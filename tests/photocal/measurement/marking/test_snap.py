@@ -46,10 +46,11 @@ def test_a_click_beside_a_target_finds_its_centre(kind: Kind, scene: object, sca
         x, y = matrix[:2, 2]
         found = snap(grey, (x + rng.uniform(-5, 5), y + rng.uniform(-5, 5)), 12)
         assert found is not None
-        assert found.kind == kind
-        assert np.hypot(found.x - x, found.y - y) < 0.1
-        assert abs(found.x - x) < 4 * found.sigma[0]
-        assert abs(found.y - y) < 4 * found.sigma[1]
+        as_kind, centre = found
+        assert as_kind == kind
+        assert np.hypot(centre.column - x, centre.row - y) < 0.1
+        assert abs(centre.column - x) < 4 * centre.sigma[0]
+        assert abs(centre.row - y) < 4 * centre.sigma[1]
 
 
 @pytest.mark.parametrize(("kind", "scene"), [("circle", circle), ("ring", ring)])
@@ -61,8 +62,8 @@ def test_with_the_bend_of_the_ground_a_circle_has_its_own_centre(kind: Kind, sce
     bare, mended = snap(grey, near, 12, (kind,)), snap(grey, near, 12, (kind,), bend=bend(matrix))
     assert bare is not None
     assert mended is not None
-    assert np.hypot(bare.x - 60.2, bare.y - 59.6) > 0.4
-    assert np.hypot(mended.x - 60.2, mended.y - 59.6) < 0.1
+    assert np.hypot(bare[1].column - 60.2, bare[1].row - 59.6) > 0.4
+    assert np.hypot(mended[1].column - 60.2, mended[1].row - 59.6) < 0.1
 
 
 def test_a_coded_target_is_found_by_its_code() -> None:
@@ -74,8 +75,9 @@ def test_a_coded_target_is_found_by_its_code() -> None:
     x, y = (matrix @ [49.5, 49.5, 1])[:2]
     found = snap(grey, (x + 3, y - 4), 12)
     assert found is not None
-    assert found.kind == "code"
-    assert np.hypot(found.x - x, found.y - y) < 0.05
+    kind, centre = found
+    assert kind == "code"
+    assert np.hypot(centre.column - x, centre.row - y) < 0.05
     assert snap(grey, (x + 3, y - 4), 12, ("code",), ("4x4_50",)) is None
 
 

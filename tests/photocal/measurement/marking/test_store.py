@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from photocal.base.errors import InputMalformedError, PhotocalError
 from photocal.exchange.parts import Mark
-from photocal.measurement.marking.store import MarkStore
+from photocal.measurement.marking.store import MarkStore, scene_of_folder
 from photocal.measurement.marks import read_marks
 
 
@@ -81,3 +82,11 @@ def test_a_table_that_is_none_is_refused_and_left_alone(tmp_path: Path) -> None:
     with pytest.raises(InputMalformedError, match="column y is missing"):
         MarkStore(path)
     assert path.read_text() == "image,point,x\na,P1,3\n"
+
+
+def test_turned_pictures_are_marked_on_the_stored_grid(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.new("L", (300, 200)).save(tmp_path / "a.jpg", exif=exif)
+    own = scene_of_folder(tmp_path, None, None).pictures["a.jpg"]
+    assert (own.size_px, own.turn_deg) == ((300, 200), 90)

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from photocal.base.web import Address, serving
-from photocal.measurement.marking.service import application
+from photocal.desk.standing import marking_application
 from photocal.measurement.marking.store import MarkStore, scene_of_folder, scene_of_project
 from photocal.project import read_project
 from tests.photocal.conftest import Answer
@@ -30,7 +29,7 @@ def ask(survey: Survey) -> Iterator[Ask]:
     (survey.folder / "secret.png").write_bytes((survey.folder / "images" / "p1.png").read_bytes())
     (survey.folder / "images" / "link.png").symlink_to(survey.folder / "secret.png")
     scene, path = scene_of_project(read_project(survey.file), None)
-    app = application(scene, MarkStore(path), survey.folder / "cache")
+    app = marking_application(scene, MarkStore(path), survey.folder / "cache")
     with serving(app, Address("127.0.0.1", 0)) as url:
 
         def give(path: str, content: object = None, kind: str = "application/json") -> tuple[int, Any]:
@@ -66,20 +65,20 @@ def ask(survey: Survey) -> Iterator[Ask]:
     ],
 )
 def test_no_other_file_is_given(ask: Ask, name: str) -> None:
-    status, _ = ask(f"/tiles/{name}/0/0/0")
+    status, _ = ask(f"/api/tiles/{name}/0/0/0")
     assert status == 404
-    status, refused = ask("/mark", {"image": name, "point": "P1", "x": 5, "y": 5})
+    status, refused = ask("/api/mark/mark", {"image": name, "point": "P1", "x": 5, "y": 5})
     assert (status, "not an image of this project" in refused) == (404, True)
 
 
 def test_links_out_of_the_folder_and_bad_pictures_are_named(ask: Ask) -> None:
-    reasons = {own["name"]: own["reason"] for own in ask("/project")[1]["images"]}
+    reasons = {own["name"]: own["reason"] for own in ask("/api/mark/project")[1]["images"]}
     assert reasons["link.png"] == "is a link to a place outside of the folder"
     assert reasons["zero.jpg"] == "is empty (0 bytes)"
     assert reasons["p1.png"] == ""
     for name in ("link.png", "zero.jpg"):
-        assert ask(f"/tiles/{name}/0/0/0") == (404, f"{name}: {reasons[name]}; choose another image")
-    assert ask("/tiles/p1.png/0/0/0")[0] == 200
+        assert ask(f"/api/tiles/{name}/0/0/0") == (404, f"{name}: {reasons[name]}; choose another picture")
+    assert ask("/api/tiles/p1.png/0/0/0")[0] == 200
 
 
 @pytest.mark.parametrize(
@@ -98,7 +97,7 @@ def test_links_out_of_the_folder_and_bad_pictures_are_named(ask: Ask) -> None:
     ],
 )
 def test_impossible_marks_are_refused(ask: Ask, survey: Survey, content: object, why: str) -> None:
-    status, refused = ask("/mark", content)
+    status, refused = ask("/api/mark/mark", content)
     assert status == 422
     assert why in refused
     assert not (survey.folder / "marks.csv").exists()
@@ -106,25 +105,25 @@ def test_impossible_marks_are_refused(ask: Ask, survey: Survey, content: object,
 
 def test_forms_of_other_sites_do_nothing(ask: Ask, survey: Survey) -> None:
     content = {"image": "p1.png", "point": "P1", "x": 5, "y": 5}
-    assert ask("/mark", content, "text/plain")[0] == 422
-    assert ask("/mark", content, "application/x-www-form-urlencoded")[0] == 422
+    assert ask("/api/mark/mark", content, "text/plain")[0] == 422
+    assert ask("/api/mark/mark", content, "application/x-www-form-urlencoded")[0] == 422
     assert not (survey.folder / "marks.csv").exists()
 
 
 def test_images_come_by_how_surely_they_show_the_point(ask: Ask, survey: Survey) -> None:
     for point in ("P1", "P5", "P10"):
-        found = ask(f"/images?point={point}")[1]["images"]
+        found = ask(f"/api/mark/images?point={point}")[1]["images"]
         chances = [own["probability"] for own in found]
         assert chances == sorted(chances, reverse=True)
         for own in found:
             off = np.subtract((own["x"], own["y"]), survey.truth(own["name"], point))
             # Ellipses of 95 percent: hardly ever twice as far.
             assert np.hypot(*off) < 2 * own["ellipse"]["major"]
-    assert "ellipse" not in ask("/images?point=nothing")[1]["images"][0]
+    assert "ellipse" not in ask("/api/mark/images?point=nothing")[1]["images"][0]
 
 
 def test_an_adjustment_without_marks_says_what_is_missing(ask: Ask) -> None:
-    status, refused = ask("/adjust", {})
+    status, refused = ask("/api/mark/adjust", {})
     assert (status, refused) == (
         422,
         "no image has enough marks for an adjustment; mark control points in more images",
@@ -134,12 +133,12 @@ def test_an_adjustment_without_marks_says_what_is_missing(ask: Ask) -> None:
 def test_a_folder_without_a_project_takes_any_name(survey: Survey) -> None:
     scene = scene_of_folder(survey.folder / "images", None, None)
     path = survey.folder / "mine.csv"
-    app = application(scene, MarkStore(path), survey.folder / "cache")
+    app = marking_application(scene, MarkStore(path), survey.folder / "cache")
     with serving(app, Address("127.0.0.1", 0)) as url:
         body = json.dumps(
             {"image": "p2.png", "point": "corner 7", "x": 30.5, "y": 40.25, "kinds": []}
         ).encode()
-        request = urllib.request.Request(f"{url}mark", body, {"content-type": "application/json"})  # noqa: S310
+        request = urllib.request.Request(f"{url}api/mark/mark", body, {"content-type": "application/json"})  # noqa: S310
         urllib.request.urlopen(request).close()  # noqa: S310
     assert path.read_text() == "image,point,x,y,sx,sy\np2.png,corner 7,30.5000,40.2500,1.0000,1.0000\n"
 
@@ -164,11 +163,3 @@ def test_the_command_says_what_is_missing(
         told = photocal("mark", *arguments)
         assert told.code == code, told
         assert why in told.err
-
-
-def test_turned_pictures_are_marked_on_the_stored_grid(tmp_path: Path) -> None:
-    exif = Image.Exif()
-    exif[0x0112] = 6
-    Image.new("L", (300, 200)).save(tmp_path / "a.jpg", exif=exif)
-    own = scene_of_folder(tmp_path, None, None).pictures["a.jpg"]
-    assert (own.size_px, own.turn_deg) == ((300, 200), 90)

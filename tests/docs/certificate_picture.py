@@ -1,0 +1,39 @@
+"""First page of a certificate in the README: a Kodak DCS460 calibrated from its published observations."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+from PIL import Image
+
+from photocal.demo.__main__ import calibrate
+from tests.docs.rooms import ROOT
+
+CERTIFICATE = ROOT / "docs" / "certificate.png"
+_BLOCK = ROOT / "photocal" / "demo" / "dcs460"
+# A page of A4 is 703 px wide.
+_PPI = 85
+_COLOURS = 64
+
+
+def main() -> None:
+    """Write it as the PDF has it, where poppler is there to draw with."""
+    draw = shutil.which("pdftoppm")
+    if draw is None:
+        print("no pdftoppm: the picture of the certificate stays as it is")
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        calibrate(_BLOCK, Path(folder))
+        page = Path(folder) / "page"
+        written = Path(folder) / "certificate" / "certificate.pdf"
+        command = [draw, "-png", "-singlefile", "-r", str(_PPI), str(written), str(page)]
+        subprocess.run(command, check=True)
+        with Image.open(page.with_suffix(".png")) as drawn:
+            drawn.convert("RGB").quantize(_COLOURS).save(CERTIFICATE, optimize=True)
+
+
+if __name__ == "__main__":
+    main()
