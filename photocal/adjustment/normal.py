@@ -17,8 +17,8 @@ from photocal.geometry.camera import MOTION, PARAMETERS
 from photocal.geometry.lens import OTHERS, optics
 
 # Pieces of work: as many as threads can be of use, but none so small that threads only wait for each other,
-# and no more elements of borders than this for all of them.
-PIECES, RAYS_IN_PIECE, BORDERS = 16, 10_000, 4_000_000
+# and no more elements of borders, and of strips, than this for all of them.
+PIECES, RAYS_IN_PIECE, BORDERS, STRIPS = 16, 10_000, 4_000_000, 24_000_000
 
 
 @dataclass(frozen=True)
@@ -127,15 +127,20 @@ def pieces_of(
     rays = np.concatenate([[0], np.cumsum(np.diff(ray_start)[order])])
     most = min(PIECES, 1 + BORDERS // max(where.envelope.border, 1) ** 2)
     count = min(most, 1 + len(ray_image) // RAYS_IN_PIECE)
-    shares = np.linspace(0, len(ray_image), count + 1)
-    pieces, spans = (np.searchsorted(starts, shares) for starts in (rays, ray_start))
-    for bounds in (pieces, spans):
-        bounds[0], bounds[-1] = 0, len(seen)
-    reach = np.zeros((count, 2), dtype=np.int64)
-    for piece, (begin, end) in enumerate(itertools.pairwise(pieces)):
-        points = order[begin:end][seen[order[begin:end]]]
-        if len(points):
-            reach[piece] = first[points].min(), last[points].max()
+    while True:
+        shares = np.linspace(0, len(ray_image), count + 1)
+        pieces, spans = (np.searchsorted(starts, shares) for starts in (rays, ray_start))
+        for bounds in (pieces, spans):
+            bounds[0], bounds[-1] = 0, len(seen)
+        reach = np.zeros((count, 2), dtype=np.int64)
+        for piece, (begin, end) in enumerate(itertools.pairwise(pieces)):
+            points = order[begin:end][seen[order[begin:end]]]
+            if len(points):
+                reach[piece] = first[points].min(), last[points].max()
+        # Where points reach across much of a block, each piece fills much of the matrix.
+        if count == 1 or np.diff(where.strips.offset[reach], axis=1).sum() <= STRIPS:
+            break
+        count //= 2
     return order, pieces, spans, reach
 
 

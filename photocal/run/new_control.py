@@ -30,6 +30,8 @@ from photocal.run.folder_survey import ControlFile
 from photocal.run.project_checks import FAR_FROM_PICTURES_M, FREED, check_place, unfit
 
 HEIGHTS = ("ellipsoidal", "orthometric", "local")
+# What may be answered where the system is asked: one without the other is refused.
+_LOCAL = 'or "local" for crs and height'
 
 
 @dataclass
@@ -247,9 +249,9 @@ def _with_system(made: NewProject, written: str, placed: Sequence[ImageFacts], *
         if not made.crs:
             offers = at_place(*_middle(placed), points.values[:, :2])
             example = f' (such as "{zone_of(placed)}")'
-            made.asked.append(f'crs: the system of the control points{_offered(offers, example)}, or "local"')
+            made.asked.append(f"crs: the system of the control points{_offered(offers, example)}, {_LOCAL}")
     elif placeable:
-        made.asked.append('crs: the system of the control points ("EPSG:31982"), or "local"')
+        made.asked.append(f'crs: the system of the control points ("EPSG:31982"), {_LOCAL}')
     else:
         made.crs = "local"
         made.missing.append(
@@ -283,7 +285,7 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
             authority = system.to_authority()
             return ":".join(authority) if authority and not system.is_compound else text
         if wrong := unfit(moved.crs):
-            made.asked.append(f'crs: {text!r}{wrong}: write a map system (such as "EPSG:31982"), or "local"')
+            made.asked.append(f'crs: {text!r}{wrong}: write a map system (such as "EPSG:31982"), {_LOCAL}')
             return ""
         made.points = moved.points
         if system.is_geocentric:
@@ -304,7 +306,7 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
             f"system {text!r} is not known{_offered(offers)}: none is needed, control places nothing"
         )
         return "local"
-    made.asked.append(f'crs: what is {text!r}?{_offered(offers, " write EPSG:n")}, or "local"')
+    made.asked.append(f"crs: what is {text!r}?{_offered(offers, ' write EPSG:n')}, {_LOCAL}")
     return ""
 
 

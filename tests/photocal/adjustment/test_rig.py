@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from photocal.adjustment import normal
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.adjusted import AdjustedNetwork, fit
 from photocal.adjustment.layout import layout
+from photocal.adjustment.normal import normal_equations, prepare
 from photocal.adjustment.observations import mounting_equations
 from photocal.adjustment.rig import pairs_of
 from photocal.adjustment.state import State, moved_exposures, start_state
@@ -78,6 +81,20 @@ def test_an_exposure_without_its_first_head_is_related_to_another() -> None:
     head = np.array([2, 0, 1, 2, 1, 0, 1])
     first, second = pairs_of(exposure, head, np.zeros(3, dtype=np.int64))
     assert set(zip(first.tolist(), second.tolist(), strict=True)) == {(1, 2), (1, 0), (4, 3)}
+
+
+def test_pieces_whose_strips_would_fill_the_memory_are_fewer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Heads that look out see points of much of the block: the same equations, of fewer pieces."""
+    _, network = rigs.flight(np.random.default_rng(4), exposures=8, points=300)
+    monkeypatch.setattr(normal, "RAYS_IN_PIECE", 100)
+    many = prepare(network)
+    monkeypatch.setattr(normal, "STRIPS", many.strips.offset[-1])
+    few = prepare(network)
+    assert 1 < len(few.design.pieces) < len(many.design.pieces)
+    state = start_state(network)
+    one, other = (normal_equations(problem, state) for problem in (many, few))
+    np.testing.assert_allclose(other.matrix, one.matrix, rtol=1e-9, atol=1e-12 * np.abs(one.matrix).max())
+    np.testing.assert_allclose(other.gradient, one.gradient, atol=1e-9 * np.abs(one.gradient).max())
 
 
 def moved_rays(seed: int, turn_rad: float) -> AdjustedNetwork:
