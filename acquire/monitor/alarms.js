@@ -38,7 +38,7 @@ const alarms = {
     banner.dataset.lost = String(Boolean(this.lost));
     const more = this.lost ? 0 : this.open.length - lines.length;
     const shown = $("banner-list");
-    const texts = more > 0 ? [`${lines[0]} (and ${more} more)`] : lines;
+    const texts = more > 0 ? [say("and-more", { said: lines[0], n: more })] : lines;
     if (texts.join("\n") !== shown.dataset.texts) {
       shown.dataset.texts = texts.join("\n");
       shown.replaceChildren(...texts.map((text) => make("li", "", text)));
@@ -50,7 +50,7 @@ const alarms = {
     const urgent = this.lost || this.open.some((a) => a.level === "bad");
     const title = this.lost || (this.open.length ? sentence(this.open.at(-1)) : "");
     const flash = title && Math.floor(now / 1000) % 2 === 0;
-    document.title = flash ? `\u26a0 ${title}` : $("overall").textContent + " \u2013 monitor";
+    document.title = flash ? `\u26a0 ${title}` : `${$("overall").textContent} \u2013 ${say("title")}`;
     if (urgent && now - this.lastBeep > BEEP_EVERY_MS) sound.beep("bad");
   },
 };
@@ -74,7 +74,7 @@ const sound = {
 
   draw() {
     const button = $("sound");
-    button.textContent = this.on ? "Sound on" : "Sound off";
+    button.textContent = say(this.on ? "sound-on" : "sound-off");
     button.setAttribute("aria-pressed", String(this.on));
   },
 

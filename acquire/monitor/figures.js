@@ -12,8 +12,12 @@ function make(tag, className, text) {
 }
 
 function word(state) {
-  const element = make("span", "word", state.text);
-  element.dataset.level = state.level;
+  return worded(told(state.text), state.level);
+}
+
+function worded(text, level) {
+  const element = make("span", "word", text);
+  element.dataset.level = level;
   return element;
 }
 
@@ -42,14 +46,14 @@ function duration(seconds) {
 
 function bytes(count) {
   if (count < 1e3) return `${Math.round(count)} B`;
-  if (count < 1e6) return `${(count / 1e3).toFixed(1)} kB`;
-  if (count < 1e9) return `${(count / 1e6).toFixed(1)} MB`;
-  return `${(count / 1e9).toFixed(1)} GB`;
+  if (count < 1e6) return `${fixed(count / 1e3, 1)} kB`;
+  if (count < 1e9) return `${fixed(count / 1e6, 1)} MB`;
+  return `${fixed(count / 1e9, 1)} GB`;
 }
 
 function metres(value) {
   if (value === null) return null;
-  return value < 1 ? `${(value * 100).toFixed(1)} cm` : `${value.toFixed(1)} m`;
+  return value < 1 ? `${fixed(value * 100, 1)} cm` : `${fixed(value, 1)} m`;
 }
 
 // ---- the figures ------------------------------------------------------------------------------------------
@@ -63,22 +67,22 @@ function card(name, state, lines) {
 }
 
 function receiver(row) {
-  const line = facts([["satellites", row.satellites], ["accuracy", metres(row.horizontal_m)]]);
+  const line = facts([[say("satellites"), row.satellites], [say("accuracy"), metres(row.horizontal_m)]]);
   if (row.correction_age_s !== null) {
-    const corrections = make("span", "", "corrections ");
+    const corrections = make("span", "", `${say("corrections")} `);
     corrections.append(word(row.correction));
     line.append(corrections);
   }
   const shown = card(row.name, row.fix, [line]);
-  shown.querySelector(".name").append(make("span", "since", ` for ${duration(row.for_s)}`));
+  shown.querySelector(".name").append(make("span", "since", ` ${say("for", { time: duration(row.for_s) })}`));
   return shown;
 }
 
 function camera(row) {
-  const counts = [["triggered", row.triggered], ["feedback", row.reported], ["missed", row.missed]];
-  const told = row.triggered || row.reported ? counts : [];
-  if (row.time_marks) told.push(["time marks", row.time_marks]);
-  return card(row.link, row.state, [facts(told)]);
+  const counts = [[say("triggered"), row.triggered], [say("feedback"), row.reported], [say("missed"), row.missed]];
+  const shown = row.triggered || row.reported ? counts : [];
+  if (row.time_marks) shown.push([say("time-marks"), row.time_marks]);
+  return card(row.link, row.state, [facts(shown)]);
 }
 
 function link(row) {
@@ -86,13 +90,13 @@ function link(row) {
   element.dataset.link = row.name;
   element.append(
     make("span", "name", row.name),
-    make("span", "rate", `${row.frames_per_s.toFixed(1)} /s`),
+    make("span", "rate", `${fixed(row.frames_per_s, 1)} /s`),
     make("span", "rate", `${bytes(row.bytes_per_s)}/s`),
   );
   const line = facts([
-    [row.gaps === 1 ? "gap" : "gaps", row.gaps],
-    ["longest", `${row.longest_gap_s.toFixed(1)} s`],
-    ["damaged", row.damage_bytes ? bytes(row.damage_bytes) : null],
+    [say(row.gaps === 1 ? "gap" : "gaps"), row.gaps],
+    [say("longest"), `${fixed(row.longest_gap_s, 1)} s`],
+    [say("damaged"), row.damage_bytes ? bytes(row.damage_bytes) : null],
   ]);
   line.prepend(word(row.state));
   element.append(line);
@@ -100,9 +104,9 @@ function link(row) {
 }
 
 function rest(view) {
-  const rows = [["disk", word(view.disk.state)]];
-  rows.push(["log", make("span", "", bytes(view.bytes))]);
-  for (const row of view.clocks) rows.push([`clock, ${row.link}`, word(row.state)]);
+  const rows = [[say("disk"), word(view.disk.state)]];
+  rows.push([say("log"), make("span", "", bytes(view.bytes))]);
+  for (const row of view.clocks) rows.push([say("clock", { link: row.link }), word(row.state)]);
   return rows.flatMap(([label, value]) => {
     const shown = make("dd");
     shown.append(value);
@@ -124,7 +128,7 @@ function moving(vehicle, level) {
   const speed = vehicle?.speed_m_s ?? null;
   if (speed === null) return null;
   const heading = vehicle.heading_deg === null ? "" : `, ${vehicle.heading_deg.toFixed(0)}\u00b0`;
-  return { text: `${speed.toFixed(1)} m/s${heading}`, level };
+  return { text: `${fixed(speed, 1)} m/s${heading}`, level };
 }
 
 function tiles(view) {
@@ -136,16 +140,16 @@ function tiles(view) {
   const counted = view.cameras.filter((row) => row.triggered || row.reported);
   const taken = counted.reduce((sum, row) => sum + Math.max(row.reported, row.triggered - row.missed), 0);
   const missed = counted.reduce((sum, row) => sum + row.missed, 0);
-  const lost = missed ? `, ${missed} missed` : "";
+  const counts = missed ? say("n-missed", { taken, missed }) : `${taken}`;
   const level = worst(view.cameras.map((row) => row.state))?.level ?? "off";
   const shown = [
-    ["above take-off", height === null ? unknown : { text: `${height.toFixed(0)} m`, level: stale }],
-    ["speed, heading", moving(vehicle, stale) ?? unknown],
-    [vehicle?.armed ? "mode, armed" : "mode", vehicle?.mode ?? unknown],
-    ["battery", worst(view.batteries.map((row) => row.state)) ?? unknown],
-    ["fix", worst(view.receivers.map((row) => row.fix)) ?? unknown],
-    ["pictures", counted.length ? { text: `${taken}${lost}`, level: level === "good" ? "plain" : level } : unknown],
-    ["disk", { text: view.disk.state.text.split(",")[0], level: view.disk.state.level }],
+    [say("tile-height"), height === null ? unknown : { text: `${height.toFixed(0)} m`, level: stale }],
+    [say("tile-speed"), moving(vehicle, stale) ?? unknown],
+    [say(vehicle?.armed ? "tile-mode-armed" : "tile-mode"), vehicle?.mode ?? unknown],
+    [say("tile-battery"), worst(view.batteries.map((row) => row.state)) ?? unknown],
+    [say("tile-fix"), worst(view.receivers.map((row) => row.fix)) ?? unknown],
+    [say("tile-pictures"), counted.length ? { text: counts, level: level === "good" ? "plain" : level } : unknown],
+    [say("tile-disk"), { text: view.disk.state.text.split(",")[0], level: view.disk.state.level }],
   ];
   return shown.map(([label, state]) => {
     const tile = make("div");
@@ -159,14 +163,14 @@ function tiles(view) {
 function alarmLine(alarm) {
   const item = make("li");
   // Its colour goes with what it told of; its sign and words stay.
-  item.append(make("time", "", clock(alarm.time_ns)), word({ text: sentence(alarm), level: alarm.ended ? "off" : alarm.level }));
-  if (alarm.ended) item.append(make("span", "ended", `\u2713 ${alarm.ended} ${clock(alarm.ended_ns)}`));
+  item.append(make("time", "", clock(alarm.time_ns)), worded(sentence(alarm), alarm.ended ? "off" : alarm.level));
+  if (alarm.ended) item.append(make("span", "ended", `\u2713 ${say(alarm.ended)} ${clock(alarm.ended_ns)}`));
   item.dataset.ended = alarm.ended;
   return item;
 }
 
 function sentence(alarm) {
-  return alarm.link ? `${alarm.link}: ${alarm.text}` : alarm.text;
+  return alarm.link ? `${alarm.link}: ${told(alarm.text)}` : told(alarm.text);
 }
 
 function fill(id, elements, otherwise) {
@@ -175,20 +179,20 @@ function fill(id, elements, otherwise) {
 
 function show(view) {
   const overall = $("overall");
-  overall.textContent = view.overall.text;
+  overall.textContent = told(view.overall.text);
   overall.dataset.level = view.overall.level;
   $("tiles").replaceChildren(...tiles(view));
   $("file").textContent = view.file;
   $("duration").textContent = duration(view.duration_s);
-  fill("receivers", view.receivers.map(receiver), "no receiver has spoken yet");
-  fill("cameras", view.cameras.map(camera), "no picture yet");
-  fill("links", view.links.map(link), "no link has spoken yet");
+  fill("receivers", view.receivers.map(receiver), say("no-receiver"));
+  fill("cameras", view.cameras.map(camera), say("no-picture"));
+  fill("links", view.links.map(link), say("no-link"));
   $("rest").replaceChildren(...rest(view));
   const lines = view.alarms.slice().reverse().map(alarmLine);
   $("alarms").replaceChildren(...lines.slice(0, SHOWN_ALARMS));
-  if (!lines.length) $("alarms").append(make("li", "empty", "none"));
+  if (!lines.length) $("alarms").append(make("li", "empty", say("none")));
   const before = $("before");
   before.hidden = lines.length <= SHOWN_ALARMS;
-  before.firstElementChild.textContent = `${lines.length - SHOWN_ALARMS} before`;
+  before.firstElementChild.textContent = say("before", { n: lines.length - SHOWN_ALARMS });
   before.lastElementChild.replaceChildren(...lines.slice(SHOWN_ALARMS));
 }

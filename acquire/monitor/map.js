@@ -328,8 +328,8 @@ function northArrow(pen, width) {
 function description(sorted) {
   const of = (kind) => sorted.filter((layer) => layer.kind === kind);
   const count = (kind) => of(kind).reduce((sum, layer) => sum + layer.places.length, 0);
-  const tracks = of("track").map((layer) => layer.name).sort().join(", ") || "none";
-  return `Map: tracks ${tracks}; ${count("picture")} pictures, ${count("missed")} missed, ${count("coverage") / 4} with coverage`;
+  const tracks = of("track").map((layer) => layer.name).sort().join(", ") || say("none");
+  return say("map-shows", { tracks, pictures: count("picture"), missed: count("missed"), covered: count("coverage") / 4 });
 }
 
 function handleMap() {

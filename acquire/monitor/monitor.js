@@ -7,6 +7,7 @@ const RETRY_MS = 1000;
 
 const feed = {
   source: null,
+  view: null,
   last: Date.now(), // when it spoke last
   tried: 0,
 
@@ -15,9 +16,9 @@ const feed = {
     this.source?.close();
     this.source = new EventSource("feed");
     this.source.addEventListener("view", (event) => this.take(() => {
-      const view = JSON.parse(event.data);
-      show(view);
-      alarms.take(view);
+      this.view = JSON.parse(event.data);
+      show(this.view);
+      alarms.take(this.view);
     }));
     this.source.addEventListener("debrief", (event) => this.take(() => debrief(JSON.parse(event.data))));
     this.source.addEventListener("chart", (event) => this.take(() => map.take(JSON.parse(event.data))));
@@ -38,7 +39,7 @@ const feed = {
     const now = Date.now();
     const closed = this.source.readyState === EventSource.CLOSED;
     if (!alarms.lost && now - this.last > (closed ? RETRY_MS : SILENCE_MS)) {
-      alarms.lost = `No connection since ${clock(this.last * 1e6)} UTC, trying again`;
+      alarms.lost = say("lost", { time: clock(this.last * 1e6) });
       document.body.dataset.connection = "lost";
       alarms.draw();
     }
@@ -48,17 +49,26 @@ const feed = {
 };
 
 // What a debrief of the pictures has written, in its own words.
-function debrief(told) {
+function debrief(written) {
   const box = $("debrief");
-  box.hidden = !told.verdict;
-  box.querySelector("p").textContent = told.verdict ?? "";
+  box.hidden = !written.verdict;
+  box.querySelector("p").textContent = written.verdict ?? "";
   const lines = (texts) => (texts ?? []).map((text) => make("li", "", text));
-  box.querySelector(".findings").replaceChildren(...lines(told.findings));
-  box.querySelector(".summary").replaceChildren(...lines(told.summary));
+  box.querySelector(".findings").replaceChildren(...lines(written.findings));
+  box.querySelector(".summary").replaceChildren(...lines(written.summary?.map(told)));
 }
 
 $("sound").addEventListener("click", () => sound.toggle());
 $("heard").addEventListener("click", () => alarms.confirm());
+$("language").addEventListener("click", () => {
+  speech.other();
+  sound.draw();
+  alarms.draw();
+  if (feed.view) show(feed.view);
+  map.tell();
+});
 handleMap();
-feed.connect();
-setInterval(() => feed.watch(), 250);
+speech.begin().then(() => {
+  feed.connect();
+  setInterval(() => feed.watch(), 250);
+});

@@ -17,10 +17,11 @@ from acquire.monitor.state import RecordingState
 from acquire.monitor.view_model import MapLayer, layers, view_of
 from photocal.base.web import packaged
 
-_SCRIPTS = ("figures", "alarms", "map", "monitor")
+_SCRIPTS = ("texts", "figures", "alarms", "map", "monitor")
 _FILES = {
     "/": "monitor.html",
     "/monitor.css": "monitor.css",
+    "/texts.json": "texts.json",
     **{f"/{name}.js": f"{name}.js" for name in _SCRIPTS},
 }
 # Findings of a debrief that ask nothing of the crew.

@@ -410,4 +410,8 @@ class Check:
 
     def __str__(self) -> str:
         """Say it in a line."""
-        return f"{self.state:<5} {self.part}: {self.text}" + (f"; {self.remedy}" if self.remedy else "")
+        return f"{self.state:<5} {self.said()}"
+
+    def said(self) -> str:
+        """Say it without its state."""
+        return f"{self.part}: {self.text}" + (f"; {self.remedy}" if self.remedy else "")

@@ -10,17 +10,19 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from photocal.base.console import Check, answer, argument, option
+from photocal.base.console import Check, Language, answer, argument, option
 from photocal.base.errors import PhotocalError, ProgramMissingError
+
+if TYPE_CHECKING:
+    from photocal.findings.texts import Catalogue
 
 OLDEST_PYTHON = (3, 11)
 # The program is not older than this: a clock before it is wrong.
 EARLIEST = dt.date(2026, 1, 1)
 LEAST_MEMORY, LEAST_DISK, LEAST_DISK_RATE = 4 << 30, 10 << 30, 20e6
 _PROBE_BYTES = 32 << 20
-_INSTALL = "run: python -m pip install 'photocal[process]'"
 _PORTS = ("ttyUSB*", "ttyACM*")
 
 
@@ -30,6 +32,7 @@ def doctor(
         str | None,
         option("System of a project, such as EPSG:31982+5773: check that its grids are installed."),
     ] = None,
+    language: Language = "",
     as_json: Annotated[bool, option("Print the checks as JSON.", "--json")] = False,
 ) -> None:
     """Check whether this machine is ready to record and to process.
@@ -39,47 +42,62 @@ def doctor(
 
     Example: `photocal doctor`
     """
-    checks = [*examine(folder, crs)]
-    answer(as_json, lambda: [vars(check) for check in checks], lambda: "\n".join(map(str, checks)))
+    from photocal.findings.texts import catalogue, spoken
+
+    say = catalogue((language or "en") if as_json else spoken(language))
+    checks = [*examine(folder, crs, say)]
+
+    def lines() -> str:
+        """Say each in a line."""
+        words = [(say(f"doctor.state.{check.state}"), check) for check in checks]
+        wide = max(len(word) for word, _ in words)
+        return "\n".join(f"{word:<{wide}} {check.said()}" for word, check in words)
+
+    answer(as_json, lambda: [vars(check) for check in checks], lines)
     bad = [check for check in checks if check.state == "bad"]
     if bad:
         raise ProgramMissingError(f"{bad[0].part}: {bad[0].text}", bad[0].remedy)
 
 
-def examine(folder: Path, crs: str | None = None) -> Iterator[Check]:
+State = Literal["good", "poor", "bad"]
+Found = tuple[State, str, str]
+
+
+def examine(folder: Path, crs: str | None, say: "Catalogue") -> Iterator[Check]:
     """Check each part; one that cannot even be asked is bad."""
-    parts: dict[str, Callable[[], Check]] = {
-        "Python": _python,
-        "packages": _packages,
-        "kernels": _kernels,
-        "PPK engine": _engine,
-        "browser": _browser,
-        "serial ports": lambda: _serial(Path("/dev")),
-        "clock": lambda: _clock(dt.datetime.now(dt.UTC)),
-        "disk": lambda: _disk(folder),
-        "memory": _memory,
-        "grids": lambda: _grids(crs),
-        "leap seconds": lambda: _leap_seconds(dt.datetime.now(dt.UTC).date()),
-        "key": _key,
+    parts: dict[str, Callable[[], Found]] = {
+        "python": lambda: _python(say),
+        "packages": lambda: _packages(say),
+        "kernels": lambda: _kernels(say),
+        "engine": lambda: _engine(say),
+        "browser": lambda: _browser(say),
+        "serial": lambda: _serial(say, Path("/dev")),
+        "clock": lambda: _clock(say, dt.datetime.now(dt.UTC)),
+        "disk": lambda: _disk(say, folder),
+        "memory": lambda: _memory(say),
+        "grids": lambda: _grids(say, crs),
+        "leap": lambda: _leap_seconds(say, dt.datetime.now(dt.UTC).date()),
+        "key": lambda: _key(say),
     }
     for part, check in parts.items():
         try:
-            yield check()
+            state, text, remedy = check()
         except PhotocalError as refusal:
-            yield Check(part, "bad", refusal.what, refusal.remedy)
+            state, text, remedy = "bad", refusal.what, refusal.remedy
         except (OSError, ImportError, subprocess.SubprocessError, ValueError) as refusal:
-            yield Check(part, "bad", f"cannot be asked ({refusal})", _INSTALL)
+            state, text, remedy = "bad", say("doctor.unasked", reason=refusal), say("doctor.install")
+        yield Check(say(f"doctor.part.{part}"), state, text, remedy)
 
 
-def _python() -> Check:
+def _python(say: "Catalogue") -> Found:
     version = sys.version_info[:2]
     text = ".".join(map(str, sys.version_info[:3]))
     if version < OLDEST_PYTHON:
-        return Check("Python", "bad", f"{text} is too old", "install Python 3.11 or newer")
-    return Check("Python", "good", text)
+        return "bad", say("doctor.python-old", version=text), say("doctor.python-install")
+    return "good", text, ""
 
 
-def _packages() -> Check:
+def _packages(say: "Catalogue") -> Found:
     import importlib.metadata
     import re
 
@@ -94,70 +112,67 @@ def _packages() -> Check:
         except importlib.metadata.PackageNotFoundError:
             missing.append(name)
     if missing:
-        return Check("packages", "bad", f"{', '.join(missing)} missing", _INSTALL)
-    return Check("packages", "good", f"{len(names)} there, photocal {__version__}")
+        return "bad", say("doctor.packages-missing", names=", ".join(missing)), say("doctor.install")
+    return "good", say("doctor.packages", n=len(names), version=__version__), ""
 
 
-def _kernels() -> Check:
+def _kernels(say: "Catalogue") -> Found:
     from photocal.base.compiled import FOLDER, PACKAGE
     from photocal.base.operating_system import cache_folder
 
     if not any(parent in (PACKAGE, cache_folder()) for parent in FOLDER.parents):
-        remedy = f"make {cache_folder()} writable, mode 700"
-        return Check("kernels", "poor", f"in {FOLDER}, which is not kept", remedy)
+        remedy = say("doctor.kernels-writable", folder=cache_folder())
+        return "poor", say("doctor.kernels-lost", folder=FOLDER), remedy
     if not any(FOLDER.rglob("*.nbi")):
-        remedy = "run: python -m photocal.base.compiled"
-        return Check("kernels", "poor", "not compiled yet: the first adjustment is slow", remedy)
-    return Check("kernels", "good", f"in {FOLDER}")
+        return "poor", say("doctor.kernels-none"), say("doctor.kernels-compile")
+    return "good", say("doctor.kernels", folder=FOLDER), ""
 
 
-def _engine() -> Check:
-    remedy = "on Debian run: apt-get install rtklib; elsewhere put rnx2rtkp and convbin of RTKLIB on the path"
+def _engine(say: "Catalogue") -> Found:
+    remedy = say("doctor.engine-install")
     for name in ("rnx2rtkp", "convbin"):
         if shutil.which(name) is None:
-            return Check("PPK engine", "poor", f"{name} is missing: no PPK from raw observations", remedy)
+            return "poor", say("doctor.engine-missing", name=name), remedy
     path = str(shutil.which("rnx2rtkp"))
     done = subprocess.run([path, "-?"], capture_output=True, text=True, timeout=20, check=False)  # noqa: S603
     if "rnx2rtkp" not in done.stdout + done.stderr:
-        return Check("PPK engine", "bad", f"{path} does not answer as RTKLIB's does", remedy)
-    return Check("PPK engine", "good", path)
+        return "bad", say("doctor.engine-other", path=path), remedy
+    return "good", path, ""
 
 
-def _browser() -> Check:
+def _browser(say: "Catalogue") -> Found:
     import webbrowser
 
     try:
-        return Check("browser", "good", str(getattr(webbrowser.get(), "name", "there")))
+        return "good", str(getattr(webbrowser.get(), "name", say("doctor.browser"))), ""
     except webbrowser.Error:
-        text = "none: pages can be opened from another computer"
-        return Check("browser", "poor", text, "install one, or give the page an --address of your network")
+        return "poor", say("doctor.browser-none"), say("doctor.browser-install")
 
 
-def _serial(devices: Path) -> Check:
+def _serial(say: "Catalogue", devices: Path) -> Found:
     ports = [port for pattern in _PORTS for port in sorted(devices.glob(pattern))]
     closed = [port.name for port in ports if not os.access(port, os.R_OK | os.W_OK)]
     if closed:
-        remedy = "run: sudo usermod -aG dialout $USER, then log in again"
-        return Check("serial ports", "bad", f"{', '.join(closed)} may not be opened", remedy)
-    return Check("serial ports", "good", f"{len(ports)} there" if ports else "none connected")
+        return "bad", say("doctor.serial-closed", names=", ".join(closed)), say("doctor.serial-open")
+    return "good", say("doctor.serial", n=len(ports)) if ports else say("doctor.serial-none"), ""
 
 
-def _clock(now: dt.datetime) -> Check:
-    remedy = "set the clock by the network or by GNSS before you record"
+def _clock(say: "Catalogue", now: dt.datetime) -> Found:
+    remedy = say("doctor.clock-set")
     if now.date() < EARLIEST:
-        return Check("clock", "bad", f"says {now:%Y-%m-%d}", remedy)
+        return "bad", say("doctor.clock-wrong", date=f"{now:%Y-%m-%d}"), remedy
     control = shutil.which("timedatectl")
     if control is not None:
         command = [control, "show", "-p", "NTPSynchronized", "--value"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)  # noqa: S603
         if done.stdout.strip() == "no":
-            return Check("clock", "poor", "is not synchronised", remedy)
+            return "poor", say("doctor.clock-alone"), remedy
         if done.stdout.strip() == "yes":
-            return Check("clock", "good", "synchronised")
-    return Check("clock", "good", f"{now:%Y-%m-%d %H:%M} UTC; whether it is synchronised is not known here")
+            return "good", say("doctor.clock"), ""
+    return "good", say("doctor.clock-unknown", time=f"{now:%Y-%m-%d %H:%M} UTC"), ""
 
 
-def _disk(folder: Path) -> Check:
+def _disk(say: "Catalogue", folder: Path) -> Found:
     free = shutil.disk_usage(folder).free
     began = time.monotonic()
     with tempfile.NamedTemporaryFile(dir=folder) as probe:
@@ -165,61 +180,61 @@ def _disk(folder: Path) -> Check:
         probe.flush()
         os.fsync(probe.fileno())
     rate = _PROBE_BYTES / (time.monotonic() - began)
-    text = f"{free / 1e9:.0f} GB free, writes {rate / 1e6:.0f} MB/s"
+    text = say("doctor.disk", free=f"{free / 1e9:.0f}", rate=f"{rate / 1e6:.0f}")
     if free < LEAST_DISK:
-        return Check("disk", "bad", text, f"make room: {LEAST_DISK >> 30} GB at least")
+        return "bad", text, say("doctor.disk-room", least=LEAST_DISK >> 30)
     if rate < LEAST_DISK_RATE:
-        return Check("disk", "poor", text, "record on another disk")
-    return Check("disk", "good", text)
+        return "poor", text, say("doctor.disk-slow")
+    return "good", text, ""
 
 
-def _memory() -> Check:
+def _memory(say: "Catalogue") -> Found:
     with contextlib.suppress(OSError, ValueError, AttributeError):
         # Where there is no such call, the size is not known.
         sysconf = getattr(os, "sysconf")  # noqa: B009
         total = sysconf("SC_PAGE_SIZE") * sysconf("SC_PHYS_PAGES")
-        text = f"{total / 2**30:.1f} GiB"
+        text = f"{say.fixed(total / 2**30, 1)} GiB"
         if total < LEAST_MEMORY:
-            return Check("memory", "poor", text, "take smaller blocks, or a machine with 4 GiB or more")
-        return Check("memory", "good", text)
-    return Check("memory", "good", "its size is not known here")
+            return "poor", text, say("doctor.memory-little")
+        return "good", text, ""
+    return "good", say("doctor.memory-unknown"), ""
 
 
-def _grids(crs: str | None) -> Check:
+def _grids(say: "Catalogue", crs: str | None) -> Found:
     from photocal.geometry.systems import grids_here, missing_grids
 
     if crs is None:
-        return Check("grids", "good", f"{len(grids_here())} here; --crs looks for those of a project")
+        return "good", say("doctor.grids", n=len(grids_here())), ""
     missing = missing_grids(crs)
     if missing:
-        remedy = f"run: photocal fetch-grids {crs}"
-        return Check("grids", "bad", f"{', '.join(missing)} missing for {crs}", remedy)
-    return Check("grids", "good", f"all that {crs} needs")
+        text = say("doctor.grids-missing", names=", ".join(missing), crs=crs)
+        return "bad", text, say("doctor.grids-fetch", crs=crs)
+    return "good", say("doctor.grids-all", crs=crs), ""
 
 
-def _leap_seconds(today: dt.date) -> Check:
+def _leap_seconds(say: "Catalogue", today: dt.date) -> Found:
     from photocal.base.time_scales import installed_leap_seconds
 
     expires = installed_leap_seconds().expires
-    remedy = "run: python -m pip install --upgrade tzdata"
+    text, remedy = say("doctor.leap", date=expires), say("doctor.leap-renew")
     if expires < today:
-        return Check("leap seconds", "bad", f"known until {expires}", remedy)
+        return "bad", text, remedy
     # A table that expires sooner is to be renewed before the next flights.
     soon_days = 30
     if (expires - today).days < soon_days:
-        return Check("leap seconds", "poor", f"known until {expires}", remedy)
-    return Check("leap seconds", "good", f"known until {expires}")
+        return "poor", text, remedy
+    return "good", text, ""
 
 
-def _key() -> Check:
+def _key(say: "Catalogue") -> Found:
     from photocal.base.operating_system import private_folder, settings_folder
     from photocal.report.keys import own_key
 
     key = own_key()
     if key is None:
-        return Check("key", "poor", "none: certificates cannot be signed", "run: photocal keys --new NAME")
+        return "poor", say("doctor.key-none"), say("doctor.key-new")
     private_folder(settings_folder())
-    return Check("key", "good", key.fingerprint)
+    return "good", key.fingerprint, ""
 
 
 def fetch_grids(

@@ -56,7 +56,8 @@ def _doctor(desk: Desk) -> list[str | Path]:
         crs = desk.project().crs
     except (PhotocalError, OSError):
         crs = "local"
-    return ["doctor", desk.folder, *(["--crs", crs] if crs != "local" else [])]
+    system = ["--crs", crs] if crs != "local" else []
+    return ["doctor", desk.folder, *system, *(["--lang", desk.language] if desk.language != "en" else [])]
 
 
 def _check(desk: Desk) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from photocal.measurement.tie_adjustment import (
     adjust_ties,
     assembled,
     ray_rms_px,
+    with_vibration,
     without_readouts,
 )
 from photocal.measurement.tie_block import (
@@ -134,6 +135,7 @@ def _preferred(adjusted: AdjustedTies, place: int) -> list[Chosen]:
         return fits
 
     def criterion(fit: tuple[float, Camera]) -> float:
+        """What v'Pv must be judged by: with what the unknowns of its lens must bring."""
         return fit[0] + _needed(fit[1], camera)
 
     own = least(variants[:1])
@@ -249,6 +251,8 @@ def with_released_cameras(
         stay = np.isin(held.block.images.names, released.block.images.names)
         released, block, chosen = with_chosen_lenses(released, block, of_images(held.tracks, stay))
         findings += chosen
+    # Not before: beside a readout that a wrong lens feigned images seem to vibrate, too.
+    released = with_vibration(released)
     findings += _moving(released)
     measured, of_positions = _restored(held, released, block)
     still = [finding for finding in oriented.findings if not _outdated(finding, wanted)]

@@ -98,20 +98,6 @@ class _Ties:
                 return ties, block
             ties = ties.without_few(count)
 
-    def weighed(
-        self, start: Block, assembly: NetworkOfBlock, solution: Solution, gross: float
-    ) -> tuple[Self, Flags]:
-        """Give the rays sigmas of their residuals, and tell which are no larger than `gross` of them."""
-        size, redundancy = by_ray(assembly, solution)
-        tie_rays = slice(len(start.observations.image), None)
-        sigma = ray_sigmas(self.tracks.scale, self.tracks.image, size[tie_rays], redundancy[tie_rays])
-        # A residual shows the part of the error that the redundancy number says.
-        standardised = size[tie_rays] / (
-            sigma * np.sqrt(2 * np.maximum(redundancy[tie_rays], policy.least_checked))
-        )
-        poses = given_exposures(assembly, solution)[0]
-        return replace(self, start=start, poses=poses, sigma=sigma), standardised <= gross
-
     def without_few(self, count: Integers) -> Self:
         """Take out the images that too few rays hold."""
         few, names = count < FEWEST_RAYS, self.start.images.names
@@ -153,21 +139,21 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> AdjustedTies:
             if not _few_apart(refusal, block):
                 ties, block = _robustly(ties, block).held()
             ties, block, (start, assembly, solution) = _where_rays_meet(ties, block, held=round_ == 0)
-        ties, good = ties.weighed(start, assembly, solution, GROSS if round_ else 2 * GROSS)
-        ties, block = ties.some(good).held()
+        ties = replace(ties, start=start, poses=given_exposures(assembly, solution)[0])
+        size, redundancy = by_ray(assembly, solution)
+        tie_rays = slice(len(start.observations.image), None)
+        sigma = ray_sigmas(ties.tracks.scale, ties.tracks.image, size[tie_rays], redundancy[tie_rays])
+        # A residual shows the part of the error that the redundancy number says.
+        standardised = size[tie_rays] / (
+            sigma * np.sqrt(2 * np.maximum(redundancy[tie_rays], policy.least_checked))
+        )
+        good = standardised <= (GROSS if round_ else 2 * GROSS)
+        ties, block = replace(ties, sigma=sigma).some(good).held()
         if round_ and np.mean(~good) <= FEW_LEFT:
             break
     # Readouts that the network did not bear while rays still fell out are tested once more.
     ties = replace(ties, start=_opened(ties.start, given))
     ties, block, (start, assembly, solution) = _where_rays_meet(ties, block, held=False)
-    network, shaken = with_shake(assembly.network, solution)
-    if network is not assembly.network:
-        # What vibrates within a readout made the rays seem less precise, and took c along.
-        cameras = map(_shaking, start.cameras, network.cameras, shaken.cameras)
-        start = replace(start, cameras=tuple(cameras))
-        ties, good = ties.weighed(start, replace(assembly, network=network), shaken, GROSS)
-        ties, block = ties.some(good).held()
-        ties, block, (start, assembly, solution) = _where_rays_meet(ties, block, held=False)
     start = _opened(start, given)
     if start.datum == "free":
         block = without_single_rays(block)
@@ -184,6 +170,28 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> AdjustedTies:
     )
     rejected = total - len(ties.tracks.track)
     return AdjustedTies(block, start, ties.tracks, values, assembly, solution, rejected, ties.left_out)
+
+
+def with_vibration(adjusted: AdjustedTies) -> AdjustedTies:
+    """Adjust once more where images are found to vibrate while their rows are read.
+
+    Else that makes the rays seem less precise, and takes c along.
+    """
+    network, solution = with_shake(adjusted.assembly.network, adjusted.solution)
+    if network is adjusted.assembly.network:
+        return adjusted
+    cameras = tuple(
+        replace(camera.with_values(values), shake=shaking.shake)
+        for camera, shaking, values in zip(
+            adjusted.start.cameras, network.cameras, solution.cameras, strict=True
+        )
+    )
+    again = adjust_ties(replace(adjusted.start, cameras=cameras), adjusted.values, adjusted.tracks)
+    return replace(
+        again,
+        rejected=adjusted.rejected + again.rejected,
+        left_out=(*adjusted.left_out, *again.left_out),
+    )
 
 
 def _kept(start: Block, poses: Floats) -> Images:
@@ -235,11 +243,6 @@ def _better(camera: Camera, adjusted: Camera, values: Floats) -> Camera:
     elif not camera.rolling:
         camera = replace(camera, shutter=adjusted.shutter)
     return replace(camera, values=values, given=camera.values if camera.given is None else camera.given)
-
-
-def _shaking(camera: Camera, adjusted: Camera, values: Floats) -> Camera:
-    """The camera with what its images were found to shake by, and with the values beside that."""
-    return replace(camera.with_values(values), shake=adjusted.shake) if adjusted.shake else camera
 
 
 def _opened(start: Block, given: tuple[Camera, ...]) -> Block:

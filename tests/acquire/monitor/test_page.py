@@ -109,6 +109,30 @@ def test_the_state_of_all_links_is_there(page: Page, field: Field) -> None:
     ]
 
 
+def test_the_page_speaks_portuguese(browser: Browser, server: subprocess.Popen[str], port: int) -> None:
+    """By the browser's language or by ?lang; a button changes it, and the choice is kept."""
+    assert server.poll() is None
+    context = browser.new_context(viewport={"width": 1280, "height": 800}, locale="pt-BR")
+    page = context.new_page()
+    page.goto(f"http://127.0.0.1:{port}/")
+    expect(page.locator("html")).to_have_attribute("lang", "pt-BR")
+    expect(page.locator(".link[data-link=rover] .word")).to_have_text("recebendo")
+    expect(page.locator(".link[data-link=rover] .rate").first).to_have_text(re.compile(r"^\d+,\d /s$"))
+    expect(page.locator(fix_of("rover"))).to_have_text("RTK fixo")
+    expect(page.locator("#receivers")).to_contain_text(re.compile(r"correções de \d+,\d s atrás"))
+    expect(page.locator("#rest")).to_contain_text(re.compile(r"\d+,\d GB livres.*em sincronia"))
+    expect(page.locator("#map")).to_have_attribute("aria-label", re.compile("Mapa: trajetórias rover"))
+    expect(page.locator("h2").first).to_have_text("Alarmes (UTC)")
+    page.get_by_role("button", name="English").click()
+    expect(page.locator(".link[data-link=rover] .word")).to_have_text("receiving")
+    expect(page.locator("h2").first).to_have_text("Alarms (UTC)")
+    page.reload()
+    expect(page.locator("html")).to_have_attribute("lang", "en")
+    page.goto(f"http://127.0.0.1:{port}/?lang=pt-BR")
+    expect(page.locator("#sound")).to_have_text("Som desligado")
+    context.close()
+
+
 def test_a_debrief_stands_on_the_page_as_soon_as_it_is_written(page: Page, folder: Path) -> None:
     box = page.locator("#debrief")
     expect(box).to_be_hidden()

@@ -21,8 +21,10 @@ from photocal.base.console import Check
 from photocal.cli import app
 from photocal.commands import doctor
 from photocal.commands.doctor import examine
+from photocal.findings.texts import catalogue
 
 Patch = pytest.MonkeyPatch
+ENGLISH = catalogue("en")
 
 
 @pytest.fixture(autouse=True)
@@ -119,7 +121,7 @@ def test_a_damaged_machine_is_named(
     part, text, remedy = DAMAGES[damage]
     with monkeypatch.context() as patch:
         damage(tmp_path, patch)
-        checks = {check.part: check for check in examine(tmp_path)}
+        checks = {check.part: check for check in examine(tmp_path, None, ENGLISH)}
     assert checks[part].state in ("poor", "bad")
     assert text in checks[part].text
     assert remedy in checks[part].remedy
@@ -130,12 +132,12 @@ def test_a_damaged_machine_is_named(
 def test_a_port_that_may_not_be_opened_is_named(tmp_path: Path, monkeypatch: Patch) -> None:
     (tmp_path / "ttyUSB0").touch()
     monkeypatch.setattr(os, "access", lambda *_: False)
-    check = doctor._serial(tmp_path)
-    assert (check.state, "dialout" in check.remedy) == ("bad", True)
+    check = doctor._serial(ENGLISH, tmp_path)
+    assert (check[0], "dialout" in check[2]) == ("bad", True)
 
 
 def test_missing_grids_are_named_with_their_command() -> None:
-    check = {check.part: check for check in examine(Path(), "EPSG:31982+5773")}["grids"]
+    check = {check.part: check for check in examine(Path(), "EPSG:31982+5773", ENGLISH)}["grids"]
     assert check == Check(
         "grids",
         "bad",
@@ -152,3 +154,18 @@ def test_every_part_has_a_line(tmp_path: Path) -> None:
     checks = json.loads(answer.output)
     assert len(checks) == 12
     assert all(check["remedy"] for check in checks if check["state"] != "good")
+
+
+def test_it_speaks_the_language_of_the_machine_or_the_one_asked_for(tmp_path: Path) -> None:
+    """Lines for people follow the environment, JSON does only what it is asked."""
+    brazilian = {"LC_ALL": "pt_BR.UTF-8"}
+    lines = CliRunner().invoke(app, ["doctor", str(tmp_path)], env=brazilian).output.splitlines()
+    assert any(line.startswith("bom   Python: 3.") for line in lines)
+    assert any("segundos intercalares: conhecidos até" in line for line in lines)
+    assert not any(": good" in line or line.startswith("good") for line in lines)
+    arguments = ["doctor", str(tmp_path), "--json"]
+    english = json.loads(CliRunner().invoke(app, arguments, env=brazilian).output)
+    asked = json.loads(CliRunner().invoke(app, [*arguments, "--language", "pt-BR"]).output)
+    assert [check["part"] for check in english][-2:] == ["leap seconds", "key"]
+    assert [check["part"] for check in asked][-2:] == ["segundos intercalares", "chave"]
+    assert [check["state"] for check in asked] == [check["state"] for check in english]

@@ -1,0 +1,34 @@
+"""The card of a drone, from `photocal new` to the calibration, against the camera that drew its pictures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from acquire.simulate.world.configuration import FLIGHTS, read_configuration
+from acquire.simulate.world.site import simulate_flight
+from tests.photocal.conftest import Answer
+
+
+@pytest.mark.parametrize(("fx", "readout_s"), [("942.9", 0.0), ("942.4", 0.02)])
+def test_scale_and_readout_are_told_apart(
+    fx: str, readout_s: float, photocal: Callable[..., Answer], tmp_path: Path
+) -> None:
+    """A y scale is no readout; what vibrates within one takes neither c nor the sigmas along."""
+    plan = (FLIGHTS / "drone.toml").read_text(encoding="utf-8")
+    plan = plan.replace("fx = 942.9\n", f"fx = {fx}\nreadout_s = {readout_s}\n")
+    (tmp_path / "flight.toml").write_text(plan, encoding="utf-8")
+    simulate_flight(read_configuration(tmp_path / "flight.toml"), tmp_path / "card", lambda _: None)
+    site = tmp_path / "card" / "site"
+    assert photocal("new", site, "--height", "ellipsoidal").code == 0
+    said = photocal("run", site / "project.toml", "--until", "calibration")
+    assert said.code == 0, said.err
+    truth = json.loads((tmp_path / "card" / "truth" / "truth.json").read_text())["camera"]["px"]
+    result = json.loads((site / "work" / "calibration" / "result.json").read_text())
+    (camera,) = result["cameras"].values()
+    found = camera["parameters"]["c"]
+    assert abs(found["value"] - truth["c"]) < 3 * found["sigma"]
+    assert result["sigma0_squared"] == pytest.approx(1.0, abs=0.1)
