@@ -44,30 +44,17 @@ NAMES = tuple(name for _, ways in _VALUES.values() for names in ways for name in
 
 
 @dataclass(frozen=True)
-class MountingParameter:
-    """What parameters tell of one thing: its name, their names, values and unit."""
-
-    thing: str
-    parameters: tuple[str, ...]
-    values: tuple[float, ...]
-    unit: str
-
-    def __str__(self) -> str:
-        values = ", ".join(f"{value:.6g}" for value in self.values)
-        return f"{self.thing}: {values} {self.unit}".rstrip() + f" ({', '.join(self.parameters)})"
-
-
-@dataclass(frozen=True)
 class AutopilotMounting:
     """What an autopilot tells of its mounting, and what follows for the camera.
 
+    values: of each thing its name, its unit, and its parameters by their names.
     camera_to_antenna_m: lever arm, body axes, m, of a camera at the body's origin, `CAMERA_PLACE_SIGMA_M`
         off on each axis; None where no antenna is stated: zeros are what nobody measured.
     mount_deg: roll, pitch and yaw of the camera mount against the body, `MOUNT_SIGMA_DEG` off; None where the
         camera is fixed, or the mount is turned in flight.
     """
 
-    values: tuple[MountingParameter, ...]
+    values: tuple[dict[str, Any], ...]
     camera_to_antenna_m: tuple[float, float, float] | None = None
     mount_deg: tuple[float, float, float] | None = None
 
@@ -82,41 +69,20 @@ class AutopilotMounting:
         if self.values:
             # The attitude is that of the body already, whatever turn and trim the board has.
             offered["boresight_sigma_deg"] = [MOUNT_SIGMA_DEG] * 3
-        values = [
-            {"thing": v.thing, "unit": v.unit, **dict(zip(v.parameters, v.values, strict=True))}
-            for v in self.values
-        ]
-        return {"values": values, "rig": offered}
-
-    def lines(self) -> list[str]:
-        """Say the same in words."""
-        lines = [f"  {value}" for value in self.values]
-        if self.camera_to_antenna_m is not None:
-            arm = ", ".join(f"{value:.6g}" for value in self.camera_to_antenna_m)
-            lines.append(
-                f"  for [rig]: camera_to_antenna_m = [{arm}], sigma {CAMERA_PLACE_SIGMA_M:g} m: "
-                "if the camera sits at the body's origin; measure where it sits"
-            )
-        elif any(value.thing == ANTENNA for value in self.values):
-            lines.append("  for [rig]: nothing; an antenna at 0, 0, 0 was not measured")
-        if self.mount_deg is not None:
-            angles = ", ".join(f"{value:.6g}" for value in self.mount_deg)
-            lines.append(
-                f"  for [rig]: camera turned by roll, pitch, yaw {angles}, sigma {MOUNT_SIGMA_DEG:g} deg"
-            )
-        return lines
+        return {"values": list(self.values), "rig": offered}
 
 
 def mounting_of(parameters: Mapping[str, float]) -> AutopilotMounting:
     """Return what parameters of an autopilot, by their names, tell of its mounting."""
     # MAV_MOUNT_MODE_NEUTRAL: the mount holds its neutral angles.
     neutral_mode = 1.0
-    values = []
+    values, by_thing = [], dict[str, tuple[float, ...]]()
     for thing, (unit, ways) in _VALUES.items():
         names = next((names for names in ways if all(name in parameters for name in names)), None)
         if names is not None:
-            values.append(MountingParameter(thing, names, tuple(parameters[name] for name in names), unit))
-    by_thing = {value.thing: value.values for value in values}
+            own = {name: parameters[name] for name in names}
+            values.append({"thing": thing, "unit": unit, **own})
+            by_thing[thing] = tuple(own.values())
     x, y, z = by_thing.get(ANTENNA, (0.0, 0.0, 0.0))
     kind = by_thing.get("camera mount, type", (0.0,))[0]
     held = kind > 0 and by_thing.get("camera mount, mode at start", (0.0,))[0] == neutral_mode
@@ -126,3 +92,28 @@ def mounting_of(parameters: Mapping[str, float]) -> AutopilotMounting:
         (x, y, z) if x or y or z else None,
         (roll, pitch, yaw) if held and NEUTRAL in by_thing else None,
     )
+
+
+def mounting_lines(told: dict[str, Any]) -> list[str]:
+    """Say in words what `AutopilotMounting.as_json` tells."""
+    lines, rig = [], told["rig"]
+    for value in told["values"]:
+        parameters = {name: number for name, number in value.items() if name not in ("thing", "unit")}
+        numbers = ", ".join(f"{number:.6g}" for number in parameters.values())
+        lines.append(
+            f"  {value['thing']}: {numbers} {value['unit']}".rstrip() + f" ({', '.join(parameters)})"
+        )
+    if "camera_to_antenna_m" in rig:
+        arm = ", ".join(f"{number:.6g}" for number in rig["camera_to_antenna_m"])
+        lines.append(
+            f"  for [rig]: camera_to_antenna_m = [{arm}], sigma {CAMERA_PLACE_SIGMA_M:g} m: "
+            "if the camera sits at the body's origin; measure where it sits"
+        )
+    elif any(value["thing"] == ANTENNA for value in told["values"]):
+        lines.append("  for [rig]: nothing; an antenna at 0, 0, 0 was not measured")
+    if "mount_deg" in rig:
+        angles = ", ".join(f"{number:.6g}" for number in rig["mount_deg"])
+        lines.append(
+            f"  for [rig]: camera turned by roll, pitch, yaw {angles}, sigma {MOUNT_SIGMA_DEG:g} deg"
+        )
+    return lines

@@ -37,50 +37,8 @@ _LACKS = {
 GAP_S = 2.0
 
 
-@dataclass(frozen=True)
-class LogVerdict:
-    """Sentences about a log, and what stands in the way of processing it.
-
-    exposures: how many pictures were triggered, reported and marked.
-    ppk, exposures_possible: what lacks for a trajectory, and for exposures; empty where nothing does.
-    """
-
-    complete: bool
-    exposures: dict[str, int]
-    ppk: tuple[str, ...]
-    exposures_possible: tuple[str, ...]
-    remarks: tuple[str, ...]
-
-    def as_json(self) -> dict[str, Any]:
-        """Return it for programs."""
-        return {
-            "complete": self.complete,
-            "exposures": self.exposures,
-            "ppk": {"possible": not self.ppk, "missing": list(self.ppk)},
-            "exposures_possible": {
-                "possible": not self.exposures_possible,
-                "missing": list(self.exposures_possible),
-            },
-            "remarks": list(self.remarks),
-        }
-
-    def lines(self) -> list[str]:
-        """Return the paragraph that comes first."""
-        counts = ", ".join(
-            f"{self.exposures[key]} {word}" for key, word in _SEEN.items() if key in self.exposures
-        )
-        head = f"pictures: {counts or 'none triggered, reported or marked'}"
-        yes = "complete" if self.complete else "CHECK"
-        processed = f"can be processed: PPK {_answer(self.ppk)}; exposures {_answer(self.exposures_possible)}"
-        return [f"verdict: {yes}", f"  {head}", *(f"  {remark}" for remark in self.remarks), f"  {processed}"]
-
-
-def _answer(lacks: tuple[str, ...]) -> str:
-    return "yes" if not lacks else f"no ({', '.join(lacks)})"
-
-
-def verdict_on(figures: dict[str, Any], exposures: dict[str, int]) -> LogVerdict:
-    """Judge the figures of `LogSummary`.
+def verdict_on(figures: dict[str, Any], exposures: dict[str, int]) -> dict[str, Any]:
+    """Judge what `summarise` found: how many pictures were seen, and what lacks for processing the log.
 
     exposures: edges by kind: trigger, feedback, rising, falling.
     """
@@ -97,13 +55,34 @@ def verdict_on(figures: dict[str, Any], exposures: dict[str, int]) -> LogVerdict
     if not figures["complete"]:
         remarks.append("the log ends early: acquire recover saves its intact part")
     orbits = any(kind["type"] in _ORBITS for link in links.values() for kind in link["types"])
-    return LogVerdict(
-        faultless and bool(seen),
-        seen,
-        _lacks_for_ppk(receivers, orbits=orbits),
-        () if seen.get("mark") or seen.get("feedback") else ("no time mark and no camera feedback",),
-        tuple(remarks),
+    no_exposure = [] if seen.get("mark") or seen.get("feedback") else ["no time mark and no camera feedback"]
+    return {
+        "complete": faultless and bool(seen),
+        "exposures": seen,
+        "ppk": _possible(_lacks_for_ppk(receivers, orbits=orbits)),
+        "exposures_possible": _possible(no_exposure),
+        "remarks": remarks,
+    }
+
+
+def _possible(missing: list[str]) -> dict[str, Any]:
+    return {"possible": not missing, "missing": missing}
+
+
+def verdict_lines(said: dict[str, Any]) -> list[str]:
+    """Write a verdict as the paragraph that comes first."""
+    counts = ", ".join(
+        f"{said['exposures'][key]} {word}" for key, word in _SEEN.items() if key in said["exposures"]
     )
+    head = f"pictures: {counts or 'none triggered, reported or marked'}"
+    yes = "complete" if said["complete"] else "CHECK"
+    processed = f"PPK {_answer(said['ppk'])}; exposures {_answer(said['exposures_possible'])}"
+    remarks = (f"  {remark}" for remark in said["remarks"])
+    return [f"verdict: {yes}", f"  {head}", *remarks, f"  can be processed: {processed}"]
+
+
+def _answer(possible: dict[str, Any]) -> str:
+    return "yes" if possible["possible"] else f"no ({', '.join(possible['missing'])})"
 
 
 def _raw(link: dict[str, Any]) -> list[dict[str, Any]]:
@@ -129,15 +108,15 @@ def _of_damage(links: Any) -> list[str]:
     ]
 
 
-def _lacks_for_ppk(receivers: list[str], *, orbits: bool) -> tuple[str, ...]:
+def _lacks_for_ppk(receivers: list[str], *, orbits: bool) -> list[str]:
     if not receivers:
-        return ("no raw observations",)
-    lacks = (
-        []
-        if len(receivers) > 1
-        else [f"raw observations of {receivers[0]} only: give the base as a file of its own"]
-    )
-    return (*lacks, *(() if orbits else ("no satellite orbits: give a navigation file",)))
+        return ["no raw observations"]
+    lacks = []
+    if len(receivers) == 1:
+        lacks.append(f"raw observations of {receivers[0]} only: give the base as a file of its own")
+    if not orbits:
+        lacks.append("no satellite orbits: give a navigation file")
+    return lacks
 
 
 @dataclass
@@ -275,50 +254,8 @@ class LinkSummary:
         }
 
 
-@dataclass(frozen=True)
-class LogSummary:
-    """What a flight log holds, see `summarise`."""
-
-    path: Path
-    complete: bool
-    links: dict[str, LinkSummary]
-    fixes: dict[str, Counter[str]]
-    topics: Counter[tuple[str, str, str]]
-    metadata: dict[str, dict[str, str]]
-    parameters: dict[str, dict[str, float]] = field(default_factory=dict)
-    exposures: Counter[str] = field(default_factory=Counter)
-
-    def verdict(self) -> LogVerdict:
-        """Judge whether the log is complete and can be processed."""
-        return verdict_on(self._figures(), self.exposures)
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the figures for programs, with the verdict on them."""
-        figures = self._figures()
-        return {**figures, "verdict": verdict_on(figures, self.exposures).as_json()}
-
-    def _figures(self) -> dict[str, Any]:
-        return {
-            "schema": "acquire.info/1",
-            "file": str(self.path),
-            "bytes": self.path.stat().st_size,
-            "complete": self.complete,
-            "links": [link.as_json() for _, link in sorted(self.links.items())],
-            "fixes": {receiver: dict(counts) for receiver, counts in sorted(self.fixes.items())},
-            "topics": [
-                {"topic": topic, "encoding": encoding, "schema": schema, "messages": count}
-                for (topic, encoding, schema), count in sorted(self.topics.items())
-            ],
-            "metadata": self.metadata,
-            "mounting": {
-                source: {"parameters": len(parameters), **mounting_of(parameters).as_json()}
-                for source, parameters in sorted(self.parameters.items())
-            },
-        }
-
-
-def summarise(path: Path, dialect: Dialect) -> LogSummary:
-    """Read a flight log and count what it holds.
+def summarise(path: Path, dialect: Dialect) -> dict[str, Any]:
+    """Read a flight log, count what it holds, and judge it.
 
     raises InputNotFoundError, InputMalformedError: see `LogReader.chunks`.
     """
@@ -344,14 +281,31 @@ def summarise(path: Path, dialect: Dialect) -> LogSummary:
                 values = {str(p["name"]): float(p["value"]) for p in contents if p.get("value") is not None}
                 parameters.setdefault(channel.topic.removeprefix("/"), {}).update(values)
             elif channel.schema is None:
-                link = link_of(channel)
-                summary, encoding = links.setdefault(link, LinkSummary(link, dialect)), channel.encoding
+                name, encoding = link_of(channel), channel.encoding
+                summary = links.setdefault(name, LinkSummary(name, dialect))
                 if encoding == DAMAGE_ENCODING:
                     summary.damage_bytes += sum(map(len, messages.payloads))
                 elif (wire := known_wire(encoding)) is not None:
                     batch = batch_of_payloads(wire, messages.payloads, dialect)
                     summary.add(batch, messages.log_ns)
-    return LogSummary(path, reader.complete, links, fixes, topics, reader.metadata, parameters, exposures)
+    figures = {
+        "schema": "acquire.info/1",
+        "file": str(path),
+        "bytes": path.stat().st_size,
+        "complete": reader.complete,
+        "links": [link.as_json() for _, link in sorted(links.items())],
+        "fixes": {receiver: dict(counts) for receiver, counts in sorted(fixes.items())},
+        "topics": [
+            {"topic": topic, "encoding": encoding, "schema": schema, "messages": count}
+            for (topic, encoding, schema), count in sorted(topics.items())
+        ],
+        "metadata": reader.metadata,
+        "mounting": {
+            source: {"parameters": len(told), **mounting_of(told).as_json()}
+            for source, told in sorted(parameters.items())
+        },
+    }
+    return {**figures, "verdict": verdict_on(figures, exposures)}
 
 
 def _sender(source: tuple[int, int], parts: list[Bytes]) -> dict[str, int]:

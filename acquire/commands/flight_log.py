@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from acquire.channels.mounting import mounting_of
+from acquire.channels.mounting import mounting_lines
 from photocal.base.console import AsJson, answer, argument, option, progress
 from photocal.base.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from acquire.channels.summary import LogSummary
     from acquire.importing.importer import Imported
     from acquire.importing.recovery import Recovered
 
@@ -108,13 +107,14 @@ def info(log: Log, types: Types = False, as_json: AsJson = False) -> None:
     from acquire.channels.summary import summarise
     from drivers.mavlink.dialect import ardupilotmega
 
-    summary = summarise(log, ardupilotmega())
-    answer(as_json, summary.as_json, lambda: _text(summary, types=types))
+    figures = summarise(log, ardupilotmega())
+    answer(as_json, lambda: figures, lambda: _text(figures, types=types))
 
 
-def _text(summary: "LogSummary", *, types: bool) -> str:
-    figures = summary.as_json()
-    lines = [*summary.verdict().lines(), "", f"{figures['file']}: {figures['bytes']} bytes"]
+def _text(figures: dict[str, Any], *, types: bool) -> str:
+    from acquire.channels.summary import verdict_lines
+
+    lines = [*verdict_lines(figures["verdict"]), "", f"{figures['file']}: {figures['bytes']} bytes"]
     if not figures["complete"]:
         lines.append("  ends early: only its intact part is shown; acquire recover repairs it")
         if every := figures["metadata"].get("recording", {}).get("flush_s"):
@@ -130,10 +130,10 @@ def _text(summary: "LogSummary", *, types: bool) -> str:
         for receiver, counts in figures["fixes"].items():
             shares = ", ".join(f"{name} {count}" for name, count in counts.items())
             lines.append(f"  {receiver}: {shares}")
-    for source, parameters in summary.parameters.items():
+    for source, told in figures["mounting"].items():
         sender = source.split("/")[0]
-        lines += ["", f"mounting as {len(parameters)} parameters of {sender} tell it (body axes)"]
-        lines += mounting_of(parameters).lines()
+        lines += ["", f"mounting as {told['parameters']} parameters of {sender} tell it (body axes)"]
+        lines += mounting_lines(told)
     if not types:
         return "\n".join(lines)
     lines += ["", "topics"]

@@ -9,7 +9,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from acquire.channels.mounting import NAMES
@@ -110,19 +109,10 @@ class Outlet(Generic[Item]):
 MOST_FRAMES, LONGEST_S = 64, 2.0
 
 
-@dataclass(frozen=True)
-class Sent:
-    """A frame that the device, or the system for it, has taken, and when (UTC ns)."""
-
-    time_ns: int
-    encoding: str
-    frame: bytes
-
-
-@dataclass(frozen=True)
-class _Correction:
-    kind: int
-    frame: bytes
+# A frame that the device, or the system for it, has taken: when (UTC ns), its encoding, its bytes.
+Sent = tuple[int, str, bytes]
+# The kind of an RTCM message, and its frame.
+Correction = tuple[int, bytes]
 
 
 class DeviceLine:
@@ -161,7 +151,7 @@ class DeviceLine:
         self._port: Outlet[tuple[str, bytes]] = Outlet(
             f"{link.name} port", self._write, MOST_FRAMES, LONGEST_S
         )
-        self._talk: Outlet[Batch | _Correction | None] = Outlet(
+        self._talk: Outlet[Batch | Correction | None] = Outlet(
             f"{link.name} talk", self._consider, most_turns, LONGEST_S
         )
         self._turn_due_s = self._tell_due_s = -math.inf
@@ -184,7 +174,7 @@ class DeviceLine:
         if self._vehicle is None:
             self._port.put(("rtcm3", frame))
         else:
-            self._talk.put(_Correction(kind, frame))
+            self._talk.put((kind, frame))
 
     def sent(self) -> list[Sent]:
         """Return what was sent since the last call."""
@@ -210,12 +200,12 @@ class DeviceLine:
         changed = [text for text, now, then in zip(texts, state, before, strict=True) if now != then]
         return said + [Alarm("device", self._name, text, self._clock_ns()) for text in changed]
 
-    def _consider(self, heard: Batch | _Correction | None) -> None:
+    def _consider(self, heard: Batch | Correction | None) -> None:
         """Find out what is to be said; runs in the thread of its outlet."""
         clock_ns, steady_s = self._clock_ns(), self._steady_s()
-        if isinstance(heard, _Correction):
+        if isinstance(heard, tuple):
             if self._vehicle is not None:
-                frames, words = self._vehicle.carry(heard.kind, heard.frame)
+                frames, words = self._vehicle.carry(*heard)
                 self._say(frames, self._encoding)
                 self._tell("device", [words] if words else [], clock_ns)
             return
@@ -225,10 +215,10 @@ class DeviceLine:
         if self.position is not None:
             self._say(self.position.due(steady_s, clock_ns), "nmea")
         if self._dialogue is not None:
-            step = self._dialogue.step(heard, steady_s, clock_ns)
-            self._say(step.frames, self._encoding)
-            self._tell("note", step.notes, clock_ns)
-            self._tell("device", step.alarms, clock_ns)
+            frames, notes, alarms = self._dialogue.step(heard, steady_s, clock_ns)
+            self._say(frames, self._encoding)
+            self._tell("note", notes, clock_ns)
+            self._tell("device", alarms, clock_ns)
 
     def _say(self, frames: list[bytes] | tuple[bytes, ...], encoding: str) -> None:
         for frame in frames:
@@ -245,7 +235,7 @@ class DeviceLine:
         except NobodyThereError:
             # A port that is gone is told by who reads it.
             return
-        self._sent.append(Sent(self._clock_ns(), encoding, frame))
+        self._sent.append((self._clock_ns(), encoding, frame))
 
 
 def _vehicle(link: LinkConfiguration, dialect: Dialect) -> VehicleDialogue:

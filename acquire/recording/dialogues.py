@@ -4,7 +4,6 @@ The conversation with a u-blox receiver: version, settings, acknowledgement, and
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,13 +17,8 @@ from photocal.base.errors import DeviceError
 _PATIENCE_S, _ATTEMPTS, _LOSSES = 1.0, 4, 2
 
 
-@dataclass(frozen=True)
-class DialogueStep:
-    """Bytes for the device and words for the person (an error when it is an alarm)."""
-
-    frames: tuple[bytes, ...] = ()
-    notes: tuple[str, ...] = ()
-    alarms: tuple[str, ...] = ()
+# What is to be said now: frames for the device, notes for the person, and alarms.
+DialogueStep = tuple[list[bytes], list[str], list[str]]
 
 
 class ReceiverDialogue:
@@ -47,7 +41,7 @@ class ReceiverDialogue:
         """Take what was received and return what is to be said now."""
         notes: list[str] = []
         alarms: list[str] = []
-        frames: tuple[bytes, ...] = ()
+        frames: list[bytes] = []
         for frame in batch or ():
             if self.finished:
                 break
@@ -63,8 +57,8 @@ class ReceiverDialogue:
             else:
                 self._attempts += 1
                 self._asked_s = steady_s
-                frames = (self._question(),)
-        return DialogueStep(frames, tuple(notes), tuple(alarms))
+                frames = [self._question()]
+        return frames, notes, alarms
 
     def _question(self) -> bytes:
         if self._steps is None:
@@ -161,13 +155,13 @@ class VehicleDialogue:
                     notes.append(f"has an autopilot: system {self._target[0]}, component {self._target[1]}")
             self._take_answers(batch, notes, alarms)
         if self._target is None:
-            return DialogueStep((), tuple(notes), tuple(alarms))
+            return [], notes, alarms
         frames = [*self._answer_timesync(batch, clock_ns), *self._ask(steady_s, alarms)]
         frames += self._read_parameters(batch, steady_s, notes)
         if self._timesync_every_s and steady_s >= self._timesync_due_s:
             self._timesync_due_s = steady_s + self._timesync_every_s
             frames.append(self.frame("TIMESYNC", {"tc1": 0, "ts1": clock_ns}))
-        return DialogueStep(tuple(frames), tuple(notes), tuple(alarms))
+        return frames, notes, alarms
 
     def frame(self, name: str, values: Mapping[str, object]) -> bytes:
         """Return the frame of a message from us, numbered."""

@@ -11,7 +11,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
-from dataclasses import dataclass
 from pathlib import Path
 
 from acquire.log.chunk import (
@@ -65,14 +64,6 @@ LAST_FLUSH_S, GIVE_UP_S = 60.0, 1.0
 Notice = tuple[str, str]
 
 
-@dataclass(frozen=True)
-class RotationLimits:
-    """When a file is ended and the next begun: size in bytes, age in seconds; 0 for never."""
-
-    size: int = 0
-    age_s: float = 0.0
-
-
 class LogFiles:
     """Writes messages to one log file after the other.
 
@@ -81,6 +72,7 @@ class LogFiles:
     is moved is left where it is. Either way recording goes on in the next file.
 
     begin: writes to each file what stands at its beginning.
+    most_bytes, most_s: size and age at which a file is ended and the next begun; 0 for never.
     clock_ns: the clock of the host, UTC nanoseconds since 1970.
     steady_s: a clock that never jumps, seconds.
     """
@@ -89,14 +81,16 @@ class LogFiles:
         self,
         folders: Sequence[Path],
         begin: Callable[[LogWriter], None],
-        limits: RotationLimits,
         clock_ns: Callable[[], int],
         make: Callable[[Path], WholeWrites] = new_file,
         steady_s: Callable[[], float] = time.monotonic,
+        *,
+        most_bytes: int = 0,
+        most_s: float = 0.0,
     ) -> None:
         self._folders = list(folders)
         self._begin = begin
-        self._limits = limits
+        self._most_bytes, self._most_s = most_bytes, most_s
         self._clock_ns, self._steady_s = clock_ns, steady_s
         self._make = make
         self._open = OpenChunk()
@@ -186,8 +180,8 @@ class LogFiles:
             hung = OSError(errno.ETIMEDOUT, f"no answer for {flushing_s:.0f} s")
             return notices + self._move(hung, doubtful=True)
         file.flush(now)
-        if (self._limits.size and file.stream.size >= self._limits.size) or (
-            self._limits.age_s and now - file.begun_s >= self._limits.age_s
+        if (self._most_bytes and file.stream.size >= self._most_bytes) or (
+            self._most_s and now - file.begun_s >= self._most_s
         ):
             notices += self._rotate(file)
         return notices

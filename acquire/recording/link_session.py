@@ -158,10 +158,10 @@ class LinkSession:
 
     def log_sent(self) -> None:
         """Write what was sent to the device since the last call."""
-        for sent in self.device.sent():
-            time_ns = np.array([sent.time_ns], np.int64)
-            channel = Channel(f"/{self.name}/sent", sent.encoding)
-            self._writer.messages(channel, [sent.frame], time_ns, time_ns, np.array([self._sent]))
+        for sent_ns, encoding, frame in self.device.sent():
+            time_ns = np.array([sent_ns], np.int64)
+            channel = Channel(f"/{self.name}/sent", encoding)
+            self._writer.messages(channel, [frame], time_ns, time_ns, np.array([self._sent]))
             self._sent += 1
 
     def _forward(self, batch: Batch) -> None:

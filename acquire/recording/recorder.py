@@ -25,7 +25,7 @@ from acquire.recording.alarms import (
 from acquire.recording.caster_position import CasterPosition, caster_positions
 from acquire.recording.configuration import LinkConfiguration, RecordingConfiguration
 from acquire.recording.device_line import Outlet
-from acquire.recording.files import LogFiles, Notice, RotationLimits
+from acquire.recording.files import LogFiles, Notice
 from acquire.recording.link_session import LinkSession, link_sessions
 from acquire.recording.log_file import WholeWrites, new_file, unclosed
 from acquire.recording.reader import Inbox, left_behind, start_readers
@@ -112,8 +112,15 @@ def record(
 
     folders = [base / folder for folder in (chosen.output, *chosen.spare)]
     before = [path for folder in folders for path in unclosed(folder)]
-    limits = RotationLimits(round(chosen.rotate_mb * _MB), chosen.rotate_min * 60)
-    files = LogFiles(folders, begin, limits, host.clock_ns, host.make, host.steady_s)
+    files = LogFiles(
+        folders,
+        begin,
+        host.clock_ns,
+        host.make,
+        host.steady_s,
+        most_bytes=round(chosen.rotate_mb * _MB),
+        most_s=chosen.rotate_min * 60,
+    )
     lines = Outlet("terminal", tell)
     lines.put(f"recording to {files.paths[0]}")
     for path in before:

@@ -106,7 +106,7 @@ def exterior_difference(block: Block, result: Result) -> ExteriorDifference | No
         adjusted = local_poses(block_frame(block), adjusted)
     given = np.hstack([angles_from_matrix(original.rotation), original.centre])
     given[~original.known] = np.nan
-    apart = exposure_difference(given, adjusted)
-    turns = (np.degrees(part[:3]) * 3600.0 for part in (apart.mean, apart.rmse))
-    figures = (apart.mean[3:], apart.rmse[3:], *turns)
-    return ExteriorDifference(apart.images, *(tuple(part.tolist()) for part in figures))
+    images, mean, rmse = exposure_difference(given, adjusted)
+    turns = (np.degrees(part[:3]) * 3600.0 for part in (mean, rmse))
+    figures = (mean[3:], rmse[3:], *turns)
+    return ExteriorDifference(images, *(tuple(part.tolist()) for part in figures))

@@ -64,9 +64,9 @@ class PublishedSet:
     name: str
     estimates: Estimates
     degrees_of_freedom: float
-    tests: tuple[FTest, ...]
-    correlations: tuple[StrongCorrelation, ...]
-    components: Components | None
+    tests: tuple[FTest, ...] = ()
+    correlations: tuple[StrongCorrelation, ...] = ()
+    components: Components | None = None
     component_values: Floats | None = None
     removal: Proposal | None = None
     global_test: PrintedSigmaTest | None = None
@@ -95,26 +95,18 @@ def analyse_published(
             raise wrong("is itself a matrix", "leave out --matrix and --set")
         estimates = _matrix(table)
         return (_correlated("", estimates, np.inf, (), threshold),)
-    sets = _sets(table, degrees_of_freedom)
+    sets = _sets(table, degrees_of_freedom, alpha)
     if set_name is not None and set_name not in sets:
         raise wrong(f"has no set {set_name}", f"it has {', '.join(sets)}")
     chosen = sets if set_name is None else {set_name: sets[set_name]}
     if matrix is None:
         return tuple(
-            PublishedSet(
-                name,
-                one.estimates,
-                one.freedom,
-                tuple(_tests(one.estimates, one.freedom, alpha, ())),
-                (),
-                None,
-                global_test=_global_test(one, alpha),
-            )
-            for name, one in chosen.items()
+            replace(one, tests=tuple(_tests(one.estimates, one.degrees_of_freedom, alpha, ())))
+            for one in chosen.values()
         )
     if len(chosen) > 1:
         raise wrong(f"holds {len(chosen)} sets, but the matrix is of one", "name it with --set")
-    ((name, single),) = chosen.items()
+    (single,) = chosen.values()
     correlation = _matrix(matrix)
     of_table = single.estimates.names
     if correlation.names != of_table:
@@ -125,9 +117,10 @@ def analyse_published(
         )
     values, sigmas = single.estimates.values.tolist(), single.estimates.sigmas.tolist()
     together = from_sigmas(single.estimates.names, values, sigmas, correlation.correlation)
-    tests = tuple(_tests(together, single.freedom, alpha, GROUPS))
-    judged = _correlated(name, together, single.freedom, tests, threshold)
-    return (replace(judged, global_test=_global_test(single, alpha)),)
+    freedom = single.degrees_of_freedom
+    tests = tuple(_tests(together, freedom, alpha, GROUPS))
+    judged = _correlated(single.name, together, freedom, tests, threshold)
+    return (replace(judged, global_test=single.global_test),)
 
 
 def _correlated(
@@ -168,11 +161,10 @@ def one_angle(estimates: Estimates) -> Finding | None:
     return Finding("one-angle", "note", "omega-kappa", figures)
 
 
-def _global_test(one: "_Printed", alpha: float) -> PrintedSigmaTest | None:
-    if one.sigma0 is None or not np.isfinite(one.freedom):
+def _global_test(sigma0: float, freedom: float, alpha: float) -> PrintedSigmaTest | None:
+    if not np.isfinite([sigma0, freedom]).all():
         return None
-    critical = float(special.chdtri(one.freedom, alpha))
-    return PrintedSigmaTest(one.sigma0, one.freedom * one.sigma0**2, critical)
+    return PrintedSigmaTest(sigma0, freedom * sigma0**2, float(special.chdtri(freedom, alpha)))
 
 
 def _tests(
@@ -188,16 +180,7 @@ def _tests(
     return tests
 
 
-@dataclass(frozen=True)
-class _Printed:
-    """A set as it was printed."""
-
-    estimates: Estimates
-    freedom: float
-    sigma0: float | None
-
-
-def _sets(path: Path, degrees_of_freedom: float) -> dict[str, _Printed]:
+def _sets(path: Path, degrees_of_freedom: float, alpha: float) -> dict[str, PublishedSet]:
     """Read parameters with their standard deviations, set by set, and the redundancy of each."""
     table = read_table(path, ("parameter", "value"), _OPTIONAL)
     column = next((name for name in _SIGMAS if table.has(name)), None)
@@ -208,7 +191,9 @@ def _sets(path: Path, degrees_of_freedom: float) -> dict[str, _Printed]:
     of_set, sets = table.names("set") if table.has("set") else (np.zeros(len(table), dtype=np.int64), ("",))
     values, sigmas = table.numbers("value"), table.numbers(column)
     freedom = table.numbers("degrees_of_freedom", empty=degrees_of_freedom)
-    sigma0 = table.numbers("sigma0", empty=np.nan) if table.has("sigma0") else None
+    sigma0 = np.full(len(table), np.nan)
+    if table.has("sigma0"):
+        sigma0 = table.numbers("sigma0", empty=np.nan)
     answer = {}
     for k, name in enumerate(sets):
         rows = np.flatnonzero(of_set == k)
@@ -218,8 +203,9 @@ def _sets(path: Path, degrees_of_freedom: float) -> dict[str, _Printed]:
                 f"a parameter comes twice{f' in set {name}' if name else ''}", "give a column set"
             )
         estimates = from_sigmas(parameters, values[rows].tolist(), sigmas[rows].tolist())
-        of_unit = None if sigma0 is None or np.isnan(sigma0[rows[0]]) else float(sigma0[rows[0]])
-        answer[name] = _Printed(estimates, float(freedom[rows[0]]), of_unit)
+        redundancy, of_unit = float(freedom[rows[0]]), float(sigma0[rows[0]])
+        tested = _global_test(of_unit, redundancy, alpha)
+        answer[name] = PublishedSet(name, estimates, redundancy, global_test=tested)
     return answer
 
 

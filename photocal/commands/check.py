@@ -378,4 +378,4 @@ def rover_test(
         plane_before, height_before = numbers_of(earlier, "--earlier", form)
         before = plane_before, height_before
     made = test.rover_test(test.read_sets(sets), distance, height_difference, plane, height, before)
-    answer(as_json, lambda: test.as_record(made), lambda: test.as_text(made))
+    answer(as_json, lambda: made, lambda: test.as_text(made))

@@ -49,9 +49,9 @@ def new(
     made = new_project(folder, crs, height, marks, again=again)
     parts = {"found": made.known, "missing": made.missing, "doubtful": made.doubtful, "asked": made.asked}
     if again:
-        parts["changed"] = made.changes
+        parts["changed"] = list(made.changes)
     rows = {"read": made.rows, "used": made.rows_used, "not_used": made.refused}
-    marked = {"rows": rows, "frames": list(made.frames)}
+    marked = {"rows": rows, "frames": list(made.offers)}
     answer(
         as_json,
         lambda: {"schema": "photocal.new/1", "project": str(made.path), **parts, **marked},

@@ -31,7 +31,7 @@ def fly(recording: Path, output: Path) -> tuple[str, ...]:
     from drivers.mavlink.dialect import ardupilotmega
 
     import_recordings([], [recording], output / "flight.mcap", lambda _: None)
-    return tuple(_lines(summarise(output / "flight.mcap", ardupilotmega()).as_json()))
+    return tuple(_lines(summarise(output / "flight.mcap", ardupilotmega())))
 
 
 def _lines(figures: dict[str, Any]) -> list[str]:

@@ -14,18 +14,6 @@ SUBSCRIPTS, PLAIN = str.maketrans("0123456789", _LOWERED), str.maketrans(_LOWERE
 SMALL, LARGE = 1e-3, 1e7
 
 
-@dataclass(frozen=True)
-class MeasuredText:
-    """A value and its standard deviation as text, with the power of ten that belongs to both.
-
-    value, sigma: both with the same number of decimals.
-    """
-
-    value: str
-    sigma: str
-    exponent: int
-
-
 def fixed(value: float, decimals: int, mark: str) -> str:
     """Print a number with a fixed number of decimals.
 
@@ -57,17 +45,20 @@ def as_given(value: float, mark: str) -> str:
     return fixed(value, max(decimals_of(abs(value), digits), 0), mark) if value else "0"
 
 
-def measured(value: float, sigma: float, mark: str) -> MeasuredText:
-    """Print a value with its standard deviation, both to two digits of the latter."""
+def measured(value: float, sigma: float, mark: str) -> tuple[str, str, int]:
+    """Print a value with its standard deviation, both to two digits of the latter.
+
+    returns: both with the same number of decimals, and the power of ten that belongs to both.
+    """
     size = max(abs(value), sigma)
     exponent = 0
     if size != 0.0 and not SMALL <= size < LARGE:
         exponent = math.floor(math.log10(size))
     scale = 10.0**exponent
     if sigma == 0.0:
-        return MeasuredText(as_given(value / scale, mark), "", exponent)
+        return as_given(value / scale, mark), "", exponent
     decimals = decimals_of(sigma / scale)
-    return MeasuredText(fixed(value / scale, decimals, mark), fixed(sigma / scale, decimals, mark), exponent)
+    return fixed(value / scale, decimals, mark), fixed(sigma / scale, decimals, mark), exponent
 
 
 def with_sigma(value: float, sigma: float, sign: str = "") -> str:

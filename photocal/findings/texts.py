@@ -17,7 +17,7 @@ from photocal.base.codec import from_plain
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.extensions import HYPOTHESES, brought
-from photocal.findings.digits import MeasuredText, Number, as_given, fixed, measured, significant, symbol
+from photocal.findings.digits import Number, as_given, fixed, measured, significant, symbol
 from photocal.findings.finding import Finding
 
 LANGUAGES = ("en", "pt-BR")
@@ -59,7 +59,7 @@ class Catalogue:
         """See `digits.as_given`."""
         return as_given(value, self.mark)
 
-    def measured(self, value: float, sigma: float) -> MeasuredText:
+    def measured(self, value: float, sigma: float) -> tuple[str, str, int]:
         """See `digits.measured`."""
         return measured(value, sigma, self.mark)
 

@@ -165,24 +165,15 @@ class Differences:
         return float(np.sqrt(known.mean() / 3.0)) if len(known) else float("nan")
 
 
-@dataclass(frozen=True)
-class ExposureDifference:
-    """Exterior orientations less those of a reference, over the images that have both.
+def exposure_difference(exposures: Floats, reference: Floats) -> tuple[int, Floats, Floats]:
+    """Compare orientations (omega, phi, kappa, X, Y, Z; NaN where there is none) with a reference.
 
-    mean, rmse (6,): omega, phi, kappa (rad), X, Y, Z (m).
+    returns: number of images that have both, mean and RMSE (6,) of exposures less reference, rad and m.
     """
-
-    images: int
-    mean: Floats
-    rmse: Floats
-
-
-def exposure_difference(exposures: Floats, reference: Floats) -> ExposureDifference:
-    """Compare orientations (omega, phi, kappa, X, Y, Z; NaN where there is none) with a reference."""
     d = exposures - reference
     d[:, :3] = (d[:, :3] + np.pi) % (2 * np.pi) - np.pi
     d = d[np.isfinite(d).all(axis=1)]
-    return ExposureDifference(len(d), d.mean(axis=0), np.sqrt(np.mean(d**2, axis=0)))
+    return len(d), d.mean(axis=0), np.sqrt(np.mean(d**2, axis=0))
 
 
 def rms(vectors: Sequence[Floats] | Floats) -> Floats:
@@ -267,7 +258,7 @@ class BlockCheck:
     block: Block
     judged: tuple[Judged, ...]
     refused: tuple[tuple[Method, str], ...]
-    exposures: ExposureDifference | None
+    exposures: tuple[int, Floats, Floats] | None
     systematic: SystematicErrors | None
     separation: Separation | None
     plausibility: tuple[Finding, ...]

@@ -20,7 +20,6 @@ from photocal.block.model import Block
 from photocal.geometry.camera import Camera
 from photocal.georeferencing.comparison import (
     Differences,
-    ExposureDifference,
     differences,
     exposure_difference,
     rms,
@@ -85,7 +84,8 @@ class ExperimentRun:
     without_trend: RMSE after the mean of biased components is removed, m.
     variance_factor: chi-squared over degrees of freedom; NaN when the run failed.
     residuals_px (2,): root mean square of all image residuals in x and y.
-    exposures: against the reference, the block adjusted with all its surveyed points as control.
+    exposures (6,): RMSE of omega, phi, kappa, rad, and X, Y, Z, m, against the reference, the block adjusted
+        with all its surveyed points as control.
     points: control and check points; xyz (n, 3): their coordinates by this run, m.
     """
 
@@ -100,7 +100,7 @@ class ExperimentRun:
     variance_factor: float
     failure: str
     residuals_px: Floats = field(default_factory=lambda: np.full(2, np.nan))
-    exposures: ExposureDifference | None = None
+    exposures: Floats = field(default_factory=lambda: np.full(6, np.nan))
     points: tuple[str, ...] = ()
     xyz: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
@@ -111,17 +111,9 @@ class ExperimentRun:
         return " ".join(part for part in parts if part)
 
 
-@dataclass(frozen=True)
-class RunPair:
-    """Two runs that differ by their interior orientation only.
-
-    check, all (3,): RMSE of the differences in X, Y, Z at the check points, and at all ground points, m.
-    """
-
-    first: ExperimentRun
-    second: ExperimentRun
-    check: Floats
-    all: Floats
+# Two runs that differ by their interior orientation only, and the RMSE (3,) of their differences in X, Y, Z,
+# m, at the check points and at all ground points.
+RunPair = tuple[ExperimentRun, ExperimentRun, Floats, Floats]
 
 
 @dataclass(frozen=True)
@@ -165,7 +157,7 @@ def _pair(first: ExperimentRun, second: ExperimentRun) -> RunPair:
     d = np.array([first.xyz[k] - second.xyz[other] for k, other in both]).reshape(-1, 3)
     checks = set(first.check.names if first.check else ())
     at_checks = np.array([first.points[k] in checks for k, _ in both], dtype=np.bool_)
-    return RunPair(first, second, rms(d[at_checks]), rms(d))
+    return first, second, rms(d[at_checks]), rms(d)
 
 
 def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: None) -> ExperimentOutcome:
@@ -251,7 +243,7 @@ def _run(
         result.chi_squared / result.degrees_of_freedom if result.degrees_of_freedom > 0 else float("nan"),
         "",
         np.sqrt(np.average(result.images.rms**2, axis=0, weights=result.images.rays)),
-        None if reference is None else exposure_difference(result.exposures, reference),
+        np.full(6, np.nan) if reference is None else exposure_difference(result.exposures, reference)[2],
         tuple(block.points.names[k] for k in result.points),
         result.xyz,
     )

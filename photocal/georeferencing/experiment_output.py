@@ -142,12 +142,9 @@ def to_text(outcome: ExperimentOutcome) -> str:
         t = " ".join(f"{b.t:.2f}{'*' if b.significant else ''}" for b in run.bias)
         figures = _cells((*run.check.rmse, *run.check.predicted), ".4f")
         runs.append((run.name, str(run.control), str(len(run.check.names)), *figures, t))
-        turned = np.full(6, np.nan) if run.exposures is None else run.exposures.rmse
-        exterior = _cells((*turned[3:], *np.degrees(turned[:3])), ".4f")
+        exterior = _cells((*run.exposures[3:], *np.degrees(run.exposures[:3])), ".4f")
         poses.append((run.name, *_cells(run.residuals_px, ".3f"), *exterior))
-    pairs = [
-        (f"{pair.first.name} - {pair.second.name}", *_cells(pair.check, ".4f")) for pair in outcome.pairs
-    ]
+    pairs = [(f"{a.name} - {b.name}", *_cells(check, ".4f")) for a, b, check, _ in outcome.pairs]
     left = [
         (case.method, case.point, *([*[""] * 6, case.failure] if case.failure else _left_cells(case)))
         for case in outcome.left_out
@@ -209,7 +206,6 @@ def _run(run: ExperimentRun) -> dict[str, Any]:
 def _flat(run: ExperimentRun) -> dict[str, Any]:
     check, none = run.check, [None] * 3
     rmse, sigma = (np.full((2, 3), np.nan)) if check is None else (check.rmse, check.predicted)
-    poses = np.full(6, np.nan) if run.exposures is None else run.exposures.rmse
     row = picked(run, "interior", "use", "pattern", "method", "control")
     row |= {"check": 0 if check is None else len(check.names), **_by_axis("rmse_{}_m", rmse)}
     row |= {"rmse_plane_m": np.hypot(*rmse[:2]), "rmse_3d_m": np.sqrt(np.sum(rmse**2))}
@@ -217,8 +213,8 @@ def _flat(run: ExperimentRun) -> dict[str, Any]:
     for axis, bias, left in zip(_AXES, run.bias or none, run.without_trend or none, strict=True):
         row |= {f"t_{axis}": bias and bias.t, f"biased_{axis}": bias and bias.significant}
         row[f"rmse_without_trend_{axis}_m"] = left
-    row |= _by_axis("residual_{}_px", run.residuals_px) | _by_axis("exterior_rmse_{}_m", poses[3:])
-    row |= _by_axis("exterior_rmse_{}_deg", np.degrees(poses[:3]), ("omega", "phi", "kappa"))
+    row |= _by_axis("residual_{}_px", run.residuals_px) | _by_axis("exterior_rmse_{}_m", run.exposures[3:])
+    row |= _by_axis("exterior_rmse_{}_deg", np.degrees(run.exposures[:3]), ("omega", "phi", "kappa"))
     row["errors_over_prediction"] = check and check.ratio
     return row | picked(run, "variance_factor", "failure")
 
@@ -228,9 +224,9 @@ def _by_axis(name: str, values: Iterable[float], axes: tuple[str, ...] = _AXES) 
 
 
 def _pair(pair: RunPair) -> dict[str, Any]:
-    row = picked(pair.first, "use", "pattern", "method", first="interior")
-    row["second"] = pair.second.interior
-    return row | _by_axis("check_rmse_{}_m", pair.check) | _by_axis("all_rmse_{}_m", pair.all)
+    first, second, check, every = pair
+    row = picked(first, "use", "pattern", "method", first="interior") | {"second": second.interior}
+    return row | _by_axis("check_rmse_{}_m", check) | _by_axis("all_rmse_{}_m", every)
 
 
 def _left(case: WithoutControlPoint) -> dict[str, Any]:

@@ -117,9 +117,9 @@ def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
         "refused": [{"method": method, "reason": reason} for method, reason in check.refused],
         "exposures_direct_less_indirect": exposures
         and {
-            "images": exposures.images,
-            "mean": dict(zip(_POSE, exposures.mean * scale, strict=True)),
-            "rmse": dict(zip(_POSE, exposures.rmse * scale, strict=True)),
+            "images": exposures[0],
+            "mean": dict(zip(_POSE, exposures[1] * scale, strict=True)),
+            "rmse": dict(zip(_POSE, exposures[2] * scale, strict=True)),
         },
         "systematic_errors": check.systematic and _systematic(check.systematic),
         "separation": apart and picked(apart, "names", "sigma", "correlation", not_separated="groups"),
@@ -254,11 +254,11 @@ def to_text(
 def _errors(check: BlockCheck, say: Catalogue) -> list[Piece]:
     pieces: list[Piece] = []
     if check.exposures is not None:
-        e = check.exposures
-        angles = " ".join(f"{v:.4f}" for v in np.degrees(e.rmse[:3]))
-        places = " ".join(f"{v:.3f}" for v in e.rmse[3:])
+        images, _, rmse = check.exposures
+        angles = " ".join(f"{v:.4f}" for v in np.degrees(rmse[:3]))
+        places = " ".join(f"{v:.3f}" for v in rmse[3:])
         figures = marked({"angles": angles, "places": places}, say)
-        pieces.append(Paragraph(say("checked.exposures", images=e.images, **figures)))
+        pieces.append(Paragraph(say("checked.exposures", images=images, **figures)))
     if check.systematic is not None:
         rows = [
             (

@@ -109,7 +109,7 @@ def _run(block: Block, stated: tuple[float, float], reference: Floats | None) ->
     return PriorRun(
         *stated,
         np.sqrt(np.atleast_2d(variance).mean(axis=0)),
-        nothing if reference is None else exposure_difference(result.exposures, reference).rmse,
+        nothing if reference is None else exposure_difference(result.exposures, reference)[2],
         check.rmse,
         check.predicted,
         result.chi_squared / result.degrees_of_freedom if result.degrees_of_freedom else np.nan,

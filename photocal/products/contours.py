@@ -24,16 +24,9 @@ from photocal.products.terrain import HEIGHT_KINDS, Terrain, grid_of_points, rea
 DRIVERS = {".gpkg": "GPKG", ".shp": "ESRI Shapefile", ".dxf": "DXF"}
 
 
-@dataclass(frozen=True)
-class Contour:
-    """A line of equal height.
-
-    number: of its level, height / interval.
-    xy (n, 2): vertices, m; the first one again at the end of a closed line.
-    """
-
-    number: int
-    xy: Floats
+# A line of equal height: the number of its level (height / interval), and its vertices (n, 2), m; the first
+# one again at the end of a closed line.
+Contour = tuple[int, Floats]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +45,8 @@ class Contours:
 
     def figures(self) -> dict[str, Any]:
         """Give its figures as a JSON value."""
-        numbers = [line.number for line in self.lines]
-        steps = [np.diff(line.xy, axis=0) for line in self.lines]
+        numbers = [number for number, _ in self.lines]
+        steps = [np.diff(xy, axis=0) for _, xy in self.lines]
         return {
             "schema": "photocal.contours/1",
             "output": str(self.path),
@@ -155,7 +148,7 @@ def contour_lines(terrain: Terrain, interval: float) -> list[Contour]:
             xy = (np.asarray(cells) + 0.5) @ axes + corner
             # Round a cell at the very height of a level nothing is left.
             if np.ptp(xy, axis=0).any():
-                lines.append(Contour(number, xy))
+                lines.append((number, xy))
     return lines
 
 
@@ -199,7 +192,7 @@ def _write_lines(made: Contours, path: Path, changed: str) -> None:
     """Hand the lines to GDAL; the same lines at the same time give the same file."""
     import pyogrio  # type: ignore[import-untyped]
 
-    number = np.array([line.number for line in made.lines])
+    number = np.array([number for number, _ in made.lines])
     is_index = number % made.index == 0
     drawing = path.suffix.lower() == ".dxf"
     fields: dict[str, Any] = {
@@ -240,7 +233,8 @@ def _write_lines(made: Contours, path: Path, changed: str) -> None:
 
 def _wkb(line: Contour, interval: float) -> bytes:
     """Give a line with its height as well-known binary (ISO, little endian)."""
-    xyz = np.column_stack([line.xy, np.full(len(line.xy), line.number * interval)])
+    number, xy = line
+    xyz = np.column_stack([xy, np.full(len(xy), number * interval)])
     return b"\x01" + np.array([1002, len(xyz)], "<u4").tobytes() + xyz.astype("<f8").tobytes()
 
 

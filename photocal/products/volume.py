@@ -106,27 +106,21 @@ def measure_closed(points: RingPoints, shape: Shape) -> tuple[dict[str, Any], st
     return {"shape": shape, "sections": sections, "between_sections": between}, "\n".join(lines)
 
 
-@dataclass(frozen=True)
-class Filled:
-    """Volume between two levels, m above the lowest section, with its standard deviation, m3."""
-
-    from_m: float
-    to_m: float
-    volume_m3: float
-    sigma_m3: float
-
-
-def partial_volumes(tank: Tank, wall_thickness: float = 0.0) -> tuple[Filled, ...]:
-    """Volumes between neighbouring sections, by the end areas."""
+def partial_volumes(tank: Tank, wall_thickness: float = 0.0) -> list[dict[str, float]]:
+    """Volumes between neighbouring sections, by the end areas; levels above the lowest section."""
     radius, height, covariance = _rings(tank, wall_thickness)
     parts = []
     for k in range(len(radius) - 1):
         made = volume_between_sections(radius[k : k + 2], height[k : k + 2], covariance[k : k + 2])
-        parts.append(Filled(height[k] - height[0], height[k + 1] - height[0], made.value, made.sigma))
-    return tuple(parts)
+        parts.append(_part(height[k] - height[0], height[k + 1] - height[0], made.value, made.sigma))
+    return parts
 
 
-def filling_table(tank: Tank, step_m: float, wall_thickness: float = 0.0) -> tuple[Filled, ...]:
+def _part(from_m: float, to_m: float, volume_m3: float, sigma_m3: float) -> dict[str, float]:
+    return {"from_m": from_m, "to_m": to_m, "volume_m3": volume_m3, "sigma_m3": sigma_m3}
+
+
+def filling_table(tank: Tank, step_m: float, wall_thickness: float = 0.0) -> list[dict[str, float]]:
     """Volumes from the lowest section to levels that far apart; areas change evenly between sections.
 
     raises ConfigurationError: for a step that cannot be, or a single section.
@@ -141,7 +135,7 @@ def filling_table(tank: Tank, step_m: float, wall_thickness: float = 0.0) -> tup
             f"levels every {step_m:g} m do not make a table", f"the sections span {whole:g} m"
         )
     levels = np.append(np.arange(step_m, whole * (1 - 1e-9), step_m), whole)
-    return tuple(Filled(0.0, float(at), *_filled(radius, height, covariance, float(at))) for at in levels)
+    return [_part(0.0, float(at), *_filled(radius, height, covariance, float(at))) for at in levels]
 
 
 def _rings(tank: Tank, wall_thickness: float) -> tuple[Floats, Floats, Floats]:
@@ -238,15 +232,15 @@ def volume(sections: str | Path | None, options: VolumeOptions) -> Volume:
         figures |= tanks.tank_json(tank, points.axes, wall)
         lines.append(tanks.tank_text(tank, points.axes, wall))
         radius, radius_sigma = tank.radius, tank.radius_sigma
-        parts = partial_volumes(tank, wall)
-        figures["partial_volumes"] = [vars(part) for part in parts]
+        figures["partial_volumes"] = parts = partial_volumes(tank, wall)
+        told = "{volume_m3:.3f} m3, sigma {sigma_m3:.3f} m3"
         if len(parts) > 1:
-            lines += [f"between {p.from_m:.3f} and {p.to_m:.3f} m: {_told(p)}" for p in parts]
+            between = "between {from_m:.3f} and {to_m:.3f} m: "
+            lines += [(between + told).format(**part) for part in parts]
         if options.filling is not None:
-            filled = filling_table(tank, options.filling, wall)
-            figures["filling"] = [vars(level) for level in filled]
+            figures["filling"] = filled = filling_table(tank, options.filling, wall)
             lines.append("filling table, m above the lowest section:")
-            lines += [f"  {level.to_m:.3f}  {_told(level)}" for level in filled]
+            lines += [("  {to_m:.3f}  " + told).format(**level) for level in filled]
         if options.plot is not None:
             tanks.draw_rings(tank, points.axes, options.plot)
     elif (options.sigma, options.plot, options.filling) != (None,) * 3 or options.wall_thickness != 0.0:
@@ -257,10 +251,6 @@ def volume(sections: str | Path | None, options: VolumeOptions) -> Volume:
         figures["by_mean_radius"] = tanks.volume_json(whole)
         lines.append(f"by mean radius and height: {tanks.volume_text(whole)}")
     return Volume(figures, "\n".join(lines))
-
-
-def _told(part: Filled) -> str:
-    return f"{part.volume_m3:.3f} m3, sigma {part.sigma_m3:.3f} m3"
 
 
 def _points(sections: Path, options: VolumeOptions) -> tanks.RingPoints:

@@ -197,9 +197,9 @@ def calibrated(run: AnalysedRun, say: Catalogue) -> list[Section]:
         rows = []
         for key in camera.free:
             sigma, whose = run.stated(name, key)
-            value = say.measured(camera.value(key), sigma)
-            unit = power_of_ten(value.exponent, camera.unit if key in ("c", "x0", "y0") else "")
-            rows.append((symbol(key), value.value, value.sigma, unit, say(f"whose.{whose}")))
+            value, spread, exponent = say.measured(camera.value(key), sigma)
+            unit = power_of_ten(exponent, camera.unit if key in ("c", "x0", "y0") else "")
+            rows.append((symbol(key), value, spread, unit, say(f"whose.{whose}")))
         heads = columns(say, "analysis", "parameter<", "estimate", "formal", "unit<", "of<")
         listed.append(Section(name, (TablePart("", heads, tuple(rows)),) if rows else ()))
     return listed

@@ -69,12 +69,12 @@ def camera_facts(camera_id: str, camera: Camera, readout: Readout | None, say: C
 
 def _shutter(camera: Camera, readout: Readout, say: Catalogue) -> str:
     """What was found of the readout, with its effect in the image and on the way flown."""
-    readout_ms = say.measured(1e3 * readout.value, 1e3 * readout.sigma)
+    readout_ms, sigma, exponent = say.measured(1e3 * readout.value, 1e3 * readout.sigma)
     text = say(
         "camera.shutter_rolling" if readout.estimated else "camera.shutter_global",
-        readout=readout_ms.value,
-        sigma=readout_ms.sigma,
-        unit=power_of_ten(readout_ms.exponent, "ms"),
+        readout=readout_ms,
+        sigma=sigma,
+        unit=power_of_ten(exponent, "ms"),
         effect=say.significant(readout.effect / camera.pitch[0], 2),
         way=say.significant(100 * readout.way, 2),
         p=say.significant(readout.p_value, 2),
@@ -139,12 +139,13 @@ def _iop_row(
     say: Catalogue,
 ) -> tuple[str, ...]:
     value, sigma, none = camera.value(name), camera.sigma_of(name), say("word.none")
-    printed, free = say.measured(value, sigma), name in camera.free
+    printed, spread, exponent = say.measured(value, sigma)
+    free = name in camera.free
     parameter_unit = "s" if name == "readout" else unit_power(camera.unit, camera.lens.power(name))
-    unit = power_of_ten(printed.exponent, parameter_unit) or "1"
-    others = (say.significant(s / 10.0**printed.exponent, 2) if free and s else none for s in beside)
-    head = (symbol(name), say(f"parameter.{name}"), printed.value)
-    row = (*head, printed.sigma if free else say("word.held"), *others, unit)
+    unit = power_of_ten(exponent, parameter_unit) or "1"
+    others = (say.significant(s / 10.0**exponent, 2) if free and s else none for s in beside)
+    head = (symbol(name), say(f"parameter.{name}"), printed)
+    row = (*head, spread if free else say("word.held"), *others, unit)
     if not free or name in NOT_TESTED or sigma == 0.0:
         return (*row, none, none)
     t = value / (sigma * (factor or 1.0))

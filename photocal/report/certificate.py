@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from collections.abc import Iterable
 
 from photocal.base.errors import InputMalformedError
 from photocal.findings.digits import relation
@@ -16,6 +17,7 @@ from photocal.report.derived_figures import verdict as keeps
 from photocal.report.ministry_rows import Context
 from photocal.report.sensor import sensor_residuals
 from photocal.report.stored_analysis import AnalysedRun
+from photocal.results.result import Result
 
 WORDS = ("table", "figure", "page", "of", "contents")
 
@@ -72,12 +74,12 @@ def _highlights(run: AnalysedRun, warnings: tuple[Finding, ...], say: Catalogue)
     for camera_id, camera in cameras.items():
         label = say("highlight.c_camera", camera=camera_id) if several else say("highlight.c")
         sigma, whose = run.stated(camera_id)
-        c = say.measured(camera.value("c"), sigma)
-        remark = say("highlight.sigma", sigma=c.sigma, unit=camera.unit) if c.sigma else say("word.held")
-        if c.sigma and (whose == "at_least" or sigma > camera.sigma_of("c")):
+        c, printed, _ = say.measured(camera.value("c"), sigma)
+        remark = say("highlight.sigma", sigma=printed, unit=camera.unit) if printed else say("word.held")
+        if printed and (whose == "at_least" or sigma > camera.sigma_of("c")):
             formal = say.significant(camera.sigma_of("c"), 2)
             remark += say(f"highlight.sigma_{whose}", formal=formal, unit=camera.unit)
-        shown.append(Highlight(label, f"{c.value} {camera.unit}", remark))
+        shown.append(Highlight(label, f"{c} {camera.unit}", remark))
     if not several:
         shown.append(_principal_point(run, next(iter(cameras)), say))
     shown += [_residuals(run, say), _network(run, say)]
@@ -85,7 +87,7 @@ def _highlights(run: AnalysedRun, warnings: tuple[Finding, ...], say: Catalogue)
 
 
 def _test(run: AnalysedRun, warnings: tuple[Finding, ...], say: Catalogue) -> Highlight:
-    test, judged = run.result.global_test, _tested(run, warnings)
+    test, judged = run.result.global_test, tested(run.result, warnings)
     if test is None or judged.severity == "untested":
         key = "untested" if run.result.degrees_of_freedom < 1 else "unclaimed"
         return Highlight(say("highlight.test"), say(f"highlight.{key}"), say(f"highlight.{key}_remark"))
@@ -101,11 +103,13 @@ def _test(run: AnalysedRun, warnings: tuple[Finding, ...], say: Catalogue) -> Hi
 
 def _principal_point(run: AnalysedRun, camera_id: str, say: Catalogue) -> Highlight:
     camera = run.result.cameras[camera_id]
-    x, y = (say.measured(camera.value(n), run.stated(camera_id, n)[0]) for n in ("x0", "y0"))
+    (x, sigma_x, _), (y, sigma_y, _) = (
+        say.measured(camera.value(n), run.stated(camera_id, n)[0]) for n in ("x0", "y0")
+    )
     remark = say("word.held")
-    if x.sigma and y.sigma:
-        remark = say("highlight.x0y0_sigma", x=x.sigma, y=y.sigma, unit=camera.unit)
-    return Highlight(say("highlight.x0y0"), f"{x.value}; {y.value} {camera.unit}", remark)
+    if sigma_x and sigma_y:
+        remark = say("highlight.x0y0_sigma", x=sigma_x, y=sigma_y, unit=camera.unit)
+    return Highlight(say("highlight.x0y0"), f"{x}; {y} {camera.unit}", remark)
 
 
 def _residuals(run: AnalysedRun, say: Catalogue) -> Highlight:
@@ -142,19 +146,21 @@ def overall(run: AnalysedRun, known: tuple[DerivedFigures, ...], warnings: tuple
     analysed = run.analysis.findings if run.analysis is not None else ()
     plausible = (finding for of in known for finding in of.findings)
     diverged = () if result.converged else (Finding("not-converged", "grave"),)
-    about = Known(
-        len(result.images),
-        result.block.datum != "free",
-        any(camera.free for camera in result.cameras.values()),
-    )
-    return judge((*diverged, *warnings, _tested(run, warnings), *plausible, *analysed), about)
+    found = (*diverged, *warnings, tested(result, warnings), *plausible, *analysed)
+    return judge(found, known_of(result))
 
 
-def _tested(run: AnalysedRun, warnings: tuple[Finding, ...]) -> Finding:
-    """The global test, as far as it tests anything."""
-    result, test = run.result, run.result.global_test
-    estimated = bool(result.variance_components) or any(f.code == "sigmas-from-residuals" for f in warnings)
-    accepted = None if test is None else test.accepted
+def known_of(result: Result) -> Known:
+    """Give what a verdict has to know of an adjustment."""
+    calibrated = any(camera.free for camera in result.cameras.values())
+    return Known(len(result.images), result.block.datum != "free", calibrated)
+
+
+def tested(result: Result, findings: Iterable[Finding]) -> Finding:
+    """Give the global test; where sigmas come from the residuals themselves it tests nothing."""
+    estimated = any(finding.code == "sigmas-from-residuals" for finding in findings)
+    estimated |= bool(result.variance_components)
+    accepted = None if result.global_test is None else result.global_test.accepted
     return of_global_test(result.chi_squared, result.degrees_of_freedom, accepted, estimated=estimated)
 
 

@@ -140,14 +140,11 @@ def _camera(run: AnalysedRun, known: DerivedFigures) -> dict[str, Any]:
 
 
 def _report(context: Context) -> list[dict[str, str]]:
-    return [
-        {
-            **picked(entry, "section", "item", "key", "unit"),
-            "label": entry.labels[context.say.language],
-            **picked(entry, "value", "origin"),
-        }
-        for entry in entries(read_layout(), context)
-    ]
+    language = context.say.language
+    names = {key: key for key in ("section", "item", "key", "unit")} | {"label": language}
+    names |= {"value": "value", "origin": "origin"}
+    filled = entries(read_layout(), context)
+    return [{name: row[column] for name, column in names.items()} for row in filled]
 
 
 def plain_record(

@@ -6,7 +6,7 @@ Sheets to print for the field and the laboratory: stations, flight, targets, pic
 import csv
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -137,14 +137,13 @@ def _mounting(key: str, unit: str, scale: float, names: str) -> Callable[[Contex
             values, sigmas = ([scale * getattr(axis, part) for axis in axes] for part in ("value", "sigma"))
             origin = "computed"
         printed = [c.say.measured(v, s) for v, s in zip(values, sigmas, strict=True)]
-        return "; ".join(f"d{n} {_with_sigma(m)}" for n, m in zip(names, printed, strict=True)), origin
+        return "; ".join(f"d{n} {_with_sigma(*m)}" for n, m in zip(names, printed, strict=True)), origin
 
     return fill
 
 
-def _with_sigma(m: object) -> str:
-    value, sigma, exponent = (getattr(m, key) for key in ("value", "sigma", "exponent"))
-    text = f"{value} ± {sigma}" if sigma else str(value)
+def _with_sigma(value: str, sigma: str, exponent: int) -> str:
+    text = f"{value} ± {sigma}" if sigma else value
     return f"({text}) × {power_of_ten(exponent, '')}" if exponent else text
 
 
@@ -179,7 +178,7 @@ def _iop(c: Context) -> Filled:
         power = c.camera.lens.power(name)
         factor = scale**power
         printed = c.say.measured(c.camera.value(name) * factor, c.camera.sigma_of(name) * factor)
-        parts.append(f"{symbol(name)} {_with_sigma(printed)} {unit_power(unit, power)}".rstrip())
+        parts.append(f"{symbol(name)} {_with_sigma(*printed)} {unit_power(unit, power)}".rstrip())
     return ("; ".join(parts), "computed") if parts else None
 
 
@@ -309,36 +308,22 @@ def corners(c: Context) -> tuple[tuple[str, ...], ...]:
     return tuple(rows)
 
 
-@dataclass(frozen=True)
-class FormRow:
-    """One row of the form: where it stands, what fills it, how it is called in each language.
-
-    value, origin: what it was filled with, and where that came from.
-    """
-
-    section: str
-    item: str
-    key: str
-    labels: Mapping[str, str]
-    unit: str
-    value: str = ""
-    origin: Origin = "not_determined"
+# A row of the form: where it stands (section, item), its key, what it is called in each language, its unit;
+# filled in also its value, and the origin of that.
+FormRow = Mapping[str, str]
 
 
 def read_layout() -> tuple[FormRow, ...]:
     """Read the rows of the form, not filled in yet."""
     with LAYOUT.open(encoding="utf-8", newline="") as stream:
-        return tuple(
-            FormRow(row["section"], row["item"], row["key"], row, row["unit"])
-            for row in csv.DictReader(stream)
-        )
+        return tuple(csv.DictReader(stream))
 
 
 def entries(layout: tuple[FormRow, ...], context: Context) -> tuple[FormRow, ...]:
     """Fill every row."""
     missing: tuple[str, Origin] = context.say("ministry.not_determined"), "not_determined"
-    filled = ((row, *(FILLERS[row.key](context) or missing)) for row in layout)
-    return tuple(replace(row, value=value, origin=origin) for row, value, origin in filled)
+    filled = ((row, *(FILLERS[row["key"]](context) or missing)) for row in layout)
+    return tuple({**row, "value": value, "origin": origin} for row, value, origin in filled)
 
 
 # Sheets by what they are for; their words stand in the catalogue under forms.NAME, lines with bars between.

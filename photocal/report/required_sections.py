@@ -150,11 +150,11 @@ def _budget(camera_id: str, run: AnalysedRun, particulars: Metadata, say: Catalo
         label, kind, u, share = rows[at]
         rows[at] = (f"{label}, {what_of_datum}", kind, "" if datum is None else u, share)
     rows.append(row("combined", "", total))
-    c = say.measured(camera.value("c"), k * total)
+    c, u, _ = say.measured(camera.value("c"), k * total)
     note = say(
         "uncertainty.note" if datum_is_known else "uncertainty.note_open",
-        c=c.value,
-        u=c.sigma,
+        c=c,
+        u=u,
         unit=camera.unit,
         k=say.fixed(k, 2),
         nu=f"{math.floor(freedom)}" if math.isfinite(freedom) else "∞",
@@ -274,10 +274,10 @@ def technical_report(title: str, context: Context) -> Section:
     rows = []
     for row in entries(read_layout(), context):
         # Only the letters of the form name an item; "table 1" or "planimetric" say where it stands.
-        letter = row.item.split()[0]
-        item = f"{row.section} {letter}" if len(letter) == 1 and letter.isalpha() else row.section
-        label = row.labels[say.language] + (f" [{row.unit}]" if row.unit else "")
-        rows.append((item, label, row.value, say(f"ministry.origin_{row.origin}")))
+        letter = row["item"].split()[0]
+        item = f"{row['section']} {letter}" if len(letter) == 1 and letter.isalpha() else row["section"]
+        label = row[say.language] + (f" [{row['unit']}]" if row["unit"] else "")
+        rows.append((item, label, row["value"], say(f"ministry.origin_{row['origin']}")))
     heads, widths = ("item<", "field<", "value<", "origin<"), (0.11, 0.31, 0.44, 0.14)
     table = said_table(say, "ministry.table", heads, rows, widths=widths)
     heads_of_corners = ("corner<", "column [px]", "line [px]", "x [mm]", "y [mm]")

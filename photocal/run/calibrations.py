@@ -145,8 +145,7 @@ def repeated(flights: Sequence[Calibrated]) -> dict[str, tuple[Repeatability, ..
     for flight in flights:
         for name, camera in flight.cameras.items():
             warm = flight.camera_temperature_c if own else flight.temperature_c
-            occasion = Occasion(flight.name, camera, flight.day, warm)
-            occasions.setdefault("camera" if alone else name, []).append(occasion)
+            occasions.setdefault("camera" if alone else name, []).append((camera, flight.day, warm))
     return {name: repeats for name, series in occasions.items() if (repeats := repeatability(series))}
 
 

@@ -4,7 +4,6 @@ import datetime as dt
 import sys
 from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -163,19 +162,11 @@ def _size(project: Project, stages: Sequence[Stage]) -> Workload:
     if given is not None and given.block is not None:
         ready.append(given.block)
     rays = next(filter(None, map(about_rays, ready)), RAYS_OF_A_PICTURE * pictures)
-    return Workload(pictures, pictures * megapixels, rays)
+    return pictures, pictures * megapixels, rays / 1000.0
 
 
-@dataclass(frozen=True)
-class ProjectOutcome:
-    """How the run of one project ended.
-
-    lines: what it said on the way, where nobody could listen.
-    """
-
-    figures: dict[str, Any]
-    failure: PhotocalError | None
-    lines: tuple[str, ...] = ()
+# How the run of one project ended: its figures, or what ended it.
+Outcome = tuple[dict[str, Any], PhotocalError | None]
 
 
 def run_projects(
@@ -212,14 +203,14 @@ def run_projects(
 
         crew = min(workers, len(tasks)) if cluster is None else Cluster(cluster)
         outcomes = []
-        for outcome in run_tasks(_elsewhere, tasks, crew):
+        for outcome, lines in run_tasks(_elsewhere, tasks, crew):
             outcomes.append(outcome)
-            for line in outcome.lines:
+            for line in lines:
                 _say(line)
-    for outcome in outcomes:
-        if outcome.failure is not None:
-            raise outcome.failure
-    return [outcome.figures for outcome in outcomes]
+    for _, failure in outcomes:
+        if failure is not None:
+            raise failure
+    return [figures for figures, _ in outcomes]
 
 
 def _say(line: str) -> None:
@@ -228,19 +219,18 @@ def _say(line: str) -> None:
         sys.stderr.write(printable(line) + "\n")
 
 
-def _elsewhere(task: Task) -> ProjectOutcome:
-    """Run a project in another process: what it says and what ends it come back with its figures."""
+def _elsewhere(task: Task) -> tuple[Outcome, list[str]]:
+    """Run a project in another process: what it said on the way comes back with its outcome."""
     lines: list[str] = []
-    outcome = _outcome(task, lines.append)
-    return ProjectOutcome(outcome.figures, outcome.failure, tuple(lines))
+    return _outcome(task, lines.append), lines
 
 
-def _outcome(task: Task, say: Callable[[str], None], bar: Bar = unseen) -> ProjectOutcome:
+def _outcome(task: Task, say: Callable[[str], None], bar: Bar = unseen) -> Outcome:
     try:
         with system_refusals():
-            return ProjectOutcome(run_one(*task, say=say, bar=bar), None)
+            return run_one(*task, say=say, bar=bar), None
     except PhotocalError as failure:
-        return ProjectOutcome({}, failure)
+        return {}, failure
 
 
 def run_one(

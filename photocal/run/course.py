@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
 
@@ -31,13 +30,8 @@ _OCTETS = {"observations.csv": 45.0, "observations.parquet": 20.0}
 RAYS_OF_A_PICTURE = 200.0
 
 
-@dataclass(frozen=True)
-class Workload:
-    """How much a run has before it: pictures, the megapixels of all of them, rays."""
-
-    pictures: int
-    megapixels: float
-    rays: float
+# How much a run has before it: pictures, the megapixels of all of them, thousands of rays.
+Workload = tuple[float, float, float]
 
 
 def about_rays(block: Path) -> float:
@@ -51,8 +45,8 @@ def expected(last: Mapping[str, float], stages: Iterable[str], size: Workload) -
 
     def usual(name: str) -> float:
         """Seconds of a stage that was never made."""
-        first, picture, megapixel, thousand = _USUAL.get(name, _OTHER)
-        return first + picture * size.pictures + megapixel * size.megapixels + thousand * size.rays / 1000.0
+        first, *each = _USUAL.get(name, _OTHER)
+        return first + sum(seconds * amount for seconds, amount in zip(each, size, strict=True))
 
     return {name: last.get(name) or usual(name) for name in stages}
 

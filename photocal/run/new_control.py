@@ -33,9 +33,12 @@ HEIGHTS = ("ellipsoidal", "orthometric", "local")
 
 
 @dataclass
-class NewControl:
-    """Control as it goes into a project.
+class NewProject:
+    """A project that is written, with its control as it goes into it.
 
+    path, changes: its file, and what has changed in one that was there.
+    known, missing, doubtful, asked: what the folder has, what would help, what looks like a slip, and what
+        must be said before it can be run.
     crs, height: empty where they are still to be said.
     height_is_assumed: nobody says it, and no figure depends on it.
     frame: of the pictures that the marks were made in.
@@ -58,6 +61,8 @@ class NewControl:
     missing: list[str] = field(default_factory=list)
     doubtful: list[str] = field(default_factory=list)
     asked: list[str] = field(default_factory=list)
+    path: Path = Path()
+    changes: tuple[str, ...] = ()
 
     @property
     def fixing(self) -> int:
@@ -91,14 +96,14 @@ def settle(
     folder: Mapping[str, Path],
     *,
     flown: bool,
-) -> NewControl:
+) -> NewProject:
     """Settle what control of a folder is.
 
     folder: where the pictures lie, by name.
     flown: whether a flight log has positions.
     """
     placed = [image for image in facts if image.has_position]
-    made = NewControl(crs=told.crs, height=told.height)
+    made = NewProject(crs=told.crs, height=told.height)
     if given is not None and given.points is not None:
         made.points, made.rows, made.refused = given.points, given.rows, list(given.refused)
         _with_marks(made, given, told, facts, folder)
@@ -124,7 +129,7 @@ def settle(
     return made
 
 
-def _with_place(made: NewControl, given: ControlFile | None, placed: Sequence[ImageFacts]) -> None:
+def _with_place(made: NewProject, given: ControlFile | None, placed: Sequence[ImageFacts]) -> None:
     """Name the slip of all points where they contradict the places of the pictures, which stops a run."""
     if not placed or given is None:
         return
@@ -138,7 +143,7 @@ def _with_place(made: NewControl, given: ControlFile | None, placed: Sequence[Im
 
 
 def _with_marks(
-    made: NewControl,
+    made: NewProject,
     given: ControlFile,
     told: StatedControl,
     facts: Sequence[ImageFacts],
@@ -188,7 +193,7 @@ def _useful(marks: Iterable[Mark]) -> bool:
     return max(Counter(mark.point for mark in marks).values(), default=0) > 1
 
 
-def _frame(made: NewControl, choice: FrameChoice, *, useful: bool) -> MarkFrame:
+def _frame(made: NewProject, choice: FrameChoice, *, useful: bool) -> MarkFrame:
     """Say which pictures the marks were made in, or ask."""
     own, best = choice.fit_of(AS_STORED), choice.fits[0]
     if choice.sure and choice.chosen == AS_STORED:
@@ -223,7 +228,7 @@ def _frame(made: NewControl, choice: FrameChoice, *, useful: bool) -> MarkFrame:
     return AS_STORED
 
 
-def _with_system(made: NewControl, written: str, placed: Sequence[ImageFacts], *, placeable: bool) -> None:
+def _with_system(made: NewProject, written: str, placed: Sequence[ImageFacts], *, placeable: bool) -> None:
     """Settle the coordinate system: of the control if there is any, else of the pictures."""
     points, text = made.points, made.crs or written
     if not points.names:
@@ -252,7 +257,7 @@ def _with_system(made: NewControl, written: str, placed: Sequence[ImageFacts], *
         )
 
 
-def _resolved(made: NewControl, text: str, placed: Sequence[ImageFacts], *, placeable: bool) -> str:
+def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, placeable: bool) -> str:
     """Give the code of a system that somebody has named; empty, and asked for, where it is not clear."""
     from pyproj.exceptions import CRSError
 
@@ -309,7 +314,7 @@ def _offered(offers: Sequence[MapSystem], example: str = "") -> str:
     return f" {' or '.join(named)}" if named else example
 
 
-def _with_heights(made: NewControl, placed: Sequence[ImageFacts], *, matters: bool, flown: bool) -> None:
+def _with_heights(made: NewProject, placed: Sequence[ImageFacts], *, matters: bool, flown: bool) -> None:
     """Settle the kind of the heights, and the grid that it needs."""
     control, own = bool(made.points.names), _heights_of(made.crs)
     if made.crs == "local":
@@ -363,7 +368,7 @@ def _level(crs: str) -> str:
     return ":".join(authority) if authority else str(plane.to_wkt())
 
 
-def _with_geoid(made: NewControl, placed: Sequence[ImageFacts]) -> None:
+def _with_geoid(made: NewProject, placed: Sequence[ImageFacts]) -> None:
     """Ask for the system of orthometric heights that precise positions are compared with, or for its grid."""
     if not placed:
         return

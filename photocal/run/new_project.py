@@ -4,9 +4,8 @@ import json
 import os
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -29,7 +28,7 @@ from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
 from photocal.run.camera_card import chosen_pictures
 from photocal.run.folder_survey import ASSUMED_M, ControlFile, FolderContents, survey
-from photocal.run.new_control import StatedControl, settle
+from photocal.run.new_control import NewProject, StatedControl, settle
 from photocal.run.renewed_project import answered_height, renewed, written_before
 
 PICTURES = "pictures.csv"
@@ -38,29 +37,6 @@ CODE_LEVEL_M = (1.5, 1.5, 3.0)
 # A camera of another c is another camera: this share of it, or so many sigmas of what the pictures say.
 UNLIKE, FAR_SIGMAS = 0.1, 3.0
 _ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2")
-
-
-@dataclass(frozen=True)
-class NewProject:
-    """A project that was written.
-
-    known, missing, doubtful, asked: what the folder has, what would help, what looks like a slip, and what
-        must be said before it can be run.
-    rows, rows_used, refused: of a control list with a row for each mark; those that are not used, and why.
-    changes: to the project file that was there.
-    frames: sizes and turns that marks may have been made in, where that is not plain.
-    """
-
-    path: Path
-    known: tuple[str, ...]
-    missing: tuple[str, ...]
-    asked: tuple[str, ...]
-    doubtful: tuple[str, ...] = ()
-    rows: int = 0
-    rows_used: int = 0
-    refused: tuple[str, ...] = ()
-    changes: tuple[str, ...] = ()
-    frames: tuple[dict[str, Any], ...] = ()
 
 
 def new_project(
@@ -117,19 +93,9 @@ def new_project(
     for name, content in files.items():
         with output_file(folder / name) as aside:
             aside.write_text(content, encoding="utf-8", newline="\n")
-    of_control = text.control
-    return NewProject(
-        folder / NAME,
-        known=tuple(text.known),
-        missing=tuple(text.missing),
-        asked=tuple(text.asked),
-        doubtful=tuple(of_control.doubtful),
-        rows=of_control.rows,
-        rows_used=of_control.rows_used,
-        refused=tuple(of_control.refused),
-        changes=changes,
-        frames=of_control.offers,
-    )
+    made = text.control
+    made.path, made.changes = folder / NAME, changes
+    return made
 
 
 def _found(control: ControlFile) -> str:

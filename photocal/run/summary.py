@@ -11,15 +11,16 @@ from photocal.base.arrays import as_plain
 from photocal.base.policy import policy
 from photocal.block.model import InputFile
 from photocal.findings.digits import with_sigma
-from photocal.findings.finding import Finding, of_global_test
+from photocal.findings.finding import Finding
 from photocal.findings.listed import Findings
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, findings_of, plain
-from photocal.findings.verdict import Known, Verdict, judge, read_verdict, verdict_json, verdict_text
+from photocal.findings.verdict import Verdict, judge, read_verdict, verdict_json, verdict_text
 from photocal.geometry.camera import PARAMETERS
 from photocal.hypotheses.table import FAULTS, Fault, fault, searched
 from photocal.measurement.maker_camera import tag_finding
 from photocal.navigation.ppk_figures import FIGURES as PPK
 from photocal.navigation.ppk_figures import PpkFigures
+from photocal.report.certificate import known_of, tested
 from photocal.report.stored_analysis import AnalysedRun, read_run
 from photocal.results.folder import RESULT, changed_inputs, read_result
 from photocal.results.result import Result
@@ -102,16 +103,7 @@ def project_verdict(work: Path, stages: Container[str] | None = None) -> Verdict
     if not (run / RESULT).is_file():
         return None
     result, findings = read_result(run), gather(work, stages)
-    calibrated = any(camera.free for camera in result.cameras.values())
-    known = Known(len(result.images), result.block.datum != "free", calibrated)
-    return judge((*findings, _tested(result, findings)), known)
-
-
-def _tested(result: Result, findings: Iterable[Finding]) -> Finding:
-    """The global test; where sigmas come from the residuals themselves it tests nothing."""
-    estimated = any(finding.code == "sigmas-from-residuals" for finding in findings)
-    accepted = None if result.global_test is None else result.global_test.accepted
-    return of_global_test(result.chi_squared, result.degrees_of_freedom, accepted, estimated=estimated)
+    return judge((*findings, tested(result, findings)), known_of(result))
 
 
 def project_findings(work: Path) -> tuple[Finding, ...]:
@@ -121,10 +113,10 @@ def project_findings(work: Path) -> tuple[Finding, ...]:
     analysed = work / "analysis" / "analysis.json"
     found = Findings.read(analysed).listed if analysed.is_file() else ()
     gathered, run = gather(work), work / "calibration"
-    tested = [_tested(read_result(run), gathered)] if (run / RESULT).is_file() else []
+    adjusted = [tested(read_result(run), gathered)] if (run / RESULT).is_file() else []
     # What a certificate derives beside, its lines tell.
     lines = () if verdict is None else verdict.lines
-    return (*gathered, *tested, *found, *(line.worst for line in lines))
+    return (*gathered, *adjusted, *found, *(line.worst for line in lines))
 
 
 def outdated(work: Path) -> bool:

@@ -232,7 +232,7 @@ def _flight(folder: Path) -> Iterator[Reader]:
         yield Reader("archives", packed, lambda p: _imported(p))
         log = folder / f"log{path.suffix}.mcap"
         _call(acquire_app, "import", short, "-o", log)
-        yield Reader("MCAP", log, lambda p: summarise(p, dialect).as_json())
+        yield Reader("MCAP", log, lambda p: summarise(p, dialect))
         yield Reader("MCAP", log, lambda p: recover(p, p.with_name("fixed.mcap")))
     mrk = folder / "x_Timestamp.MRK"
     place = "47.6436873208,Lat\t16.4759271684,Lon\t512.998,Ellh\t0.014391, 0.013698, 0.029694\t50,Q\n"

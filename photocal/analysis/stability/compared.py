@@ -51,31 +51,15 @@ class ChiSquared:
 
 @dataclass(frozen=True)
 class EqualityTest:
-    """Whether two calibrations are equal, all parameters in one test.
+    """Whether two calibrations, or all, are equal, all parameters in one test.
 
-    parameters: estimated in one of both, or both.
-    vector: of the differences of the parameters, d' (S1 + S2)^-1 d.
+    parameters: estimated in one of both, or both; in all of them.
+    vector: of the differences of the parameters, d' (S1 + S2)^-1 d; of the deviations from the mean vector,
+        sum of (x - mean)' S^-1 (x - mean).
     image: the same of what they do in the image when the exterior orientation may turn the bundle back; only
         combinations that then move it count, as difference and as degree of freedom. None where the bundles
         cannot be compared.
-    rms_px: what the difference does there, root mean square, px.
-    """
-
-    first: str
-    second: str
-    parameters: tuple[str, ...]
-    vector: ChiSquared
-    image: ChiSquared | None
-    rms_px: float | None
-
-
-@dataclass(frozen=True)
-class Together:
-    """Whether all calibrations are equal.
-
-    parameters: estimated in all of them.
-    vector: of the deviations from the mean vector, sum of (x - mean)' S^-1 (x - mean).
-    image, rms_px: as of a pair, about the mean camera.
+    rms_px: what the difference, or the deviations, do there, root mean square, px.
     """
 
     parameters: tuple[str, ...]
@@ -86,10 +70,10 @@ class Together:
 
 @dataclass(frozen=True)
 class JointComparison:
-    """Tests of every pair, and of all calibrations together; None for two."""
+    """Tests of every pair, by its names, and of all calibrations together; None for two."""
 
-    pairs: tuple[EqualityTest, ...]
-    together: Together | None
+    pairs: dict[tuple[str, str], EqualityTest]
+    together: EqualityTest | None
 
 
 def joint_comparison(calibrations: Sequence[Camera], pixels: Floats) -> JointComparison:
@@ -99,7 +83,7 @@ def joint_comparison(calibrations: Sequence[Camera], pixels: Floats) -> JointCom
     pixels (n, 2): column and row, px.
     """
     known = [camera for camera in calibrations if estimates_of(camera) is not None]
-    pairs = tuple(_joint(a, b, pixels) for a, b in combinations(known, 2))
+    pairs = {(a.id, b.id): _joint(a, b, pixels) for a, b in combinations(known, 2)}
     return JointComparison(pairs, _together(known, pixels) if len(known) > 2 else None)
 
 
@@ -125,7 +109,7 @@ def _joint(first: Camera, second: Camera, pixels: Floats) -> EqualityTest:
     vector = _against(float(z @ z), len(names))
     factor: Floats = np.asarray(scale[:, None] * root, dtype=np.float64)
     image, rms_px = _in_image(first, second, names, factor, z, pixels)
-    return EqualityTest(first.id, second.id, names, vector, image, rms_px)
+    return EqualityTest(names, vector, image, rms_px)
 
 
 def _in_image(
@@ -176,7 +160,7 @@ def _moved(camera: Camera, here: IdealImage, names: Sequence[str], step: Floats,
     return np.asarray((sides[0] - sides[1]).ravel() / 2.0)
 
 
-def _together(cameras: Sequence[Camera], pixels: Floats) -> Together | None:
+def _together(cameras: Sequence[Camera], pixels: Floats) -> EqualityTest | None:
     """Test the deviations of all calibrations from their mean, as vectors and in the image."""
     names = tuple(n for n in PARAMETERS if all(camera.sigma_of(n) > 0.0 for camera in cameras))
     if not names:
@@ -193,15 +177,15 @@ def _together(cameras: Sequence[Camera], pixels: Floats) -> Together | None:
     middle = cameras[0].changed(**dict(zip(names, (factor @ mean).tolist(), strict=True)))
     seen = _visible(middle, names, factor, pixels)
     if seen is None:
-        return Together(names, whole, None, None)
+        return EqualityTest(names, whole, None, None)
     directions, left = seen
     moves = [float(np.sum(((unit - mean) @ left) ** 2)) for unit in units]
     rms_px = float(np.sqrt(np.mean(moves) / len(pixels)))
     if not directions.shape[1]:
-        return Together(names, whole, _against(0.0, 0), rms_px)
+        return EqualityTest(names, whole, _against(0.0, 0), rms_px)
     along = [directions.T @ unit for unit in units]
     image, _ = _homogeneous(along, [directions.T @ one @ directions for one in spreads])
-    return Together(names, whole, image, rms_px)
+    return EqualityTest(names, whole, image, rms_px)
 
 
 def _homogeneous(vectors: Sequence[Floats], covariances: Sequence[Floats]) -> tuple[ChiSquared, Floats]:
@@ -222,10 +206,9 @@ def joint_text(joint: JointComparison, level: float) -> str:
     from photocal.findings.document import Section, table, text
 
     rows = []
-    for one in joint.pairs:
+    for (first, second), one in joint.pairs.items():
         moved = "-" if one.rms_px is None else f"{one.rms_px:.2f}"
-        pair = f"{one.first}-{one.second}"
-        rows.append((pair, *_cells(one.vector, level), *_cells(one.image, level), moved))
+        rows.append((f"{first}-{second}", *_cells(one.vector, level), *_cells(one.image, level), moved))
     heads = ("", "chi2", "of", "p", "in the image", "of", "p", "px")
     note = "left: the parameters as one vector; right: what they do in the image when the bundle may turn, "
     note += "and its root mean square; * not the same camera"
@@ -278,7 +261,8 @@ class Compared:
     def figures(self) -> dict[str, Any]:
         """Give all figures as a JSON value."""
         made = _figures(self.asked, self.points, self.pairs, self.followed)
-        return made | {"joint": as_plain(self.joint)}
+        pairs = [{"first": a, "second": b, **as_plain(test)} for (a, b), test in self.joint.pairs.items()]
+        return made | {"joint": {"pairs": pairs, "together": as_plain(self.joint.together)}}
 
     def __str__(self) -> str:
         """Say it for people: a matrix for each method, then what differs."""

@@ -19,14 +19,8 @@ from photocal.results.result import AdjustedHead
 PARAMETERS = ("c", "x0", "y0")
 
 
-@dataclass(frozen=True)
-class Occasion:
-    """One calibration of the camera, with what is known of when and how warm it was."""
-
-    name: str
-    camera: Camera
-    day: dt.date | None = None
-    temperature_c: float | None = None
+# One calibration of the camera, with what is known of when and how warm, degrees Celsius, it was.
+Occasion = tuple[Camera, dt.date | None, float | None]
 
 
 @dataclass(frozen=True)
@@ -70,26 +64,28 @@ def repeatability(occasions: Sequence[Occasion]) -> tuple[Repeatability, ...]:
 
     x_i = mean + b_i + e_i with known variances of e_i; that of b_i after Paule and Mandel (1982).
     """
-    if len(occasions) < 3 or len({occasion.camera.unit for occasion in occasions}) > 1:
+    cameras = [camera for camera, _, _ in occasions]
+    if len(cameras) < 3 or len({camera.unit for camera in cameras}) > 1:
         return ()
-    shared = [
-        name for name in PARAMETERS if all(occasion.camera.sigma_of(name) > 0.0 for occasion in occasions)
-    ]
-    return tuple(_of_parameter(name, occasions) for name in shared)
+    conditions = _conditions(occasions)
+    shared = [name for name in PARAMETERS if all(camera.sigma_of(name) > 0.0 for camera in cameras)]
+    return tuple(_of_parameter(name, cameras, conditions) for name in shared)
 
 
-def _of_parameter(name: str, occasions: Sequence[Occasion]) -> Repeatability:
-    x = np.array([occasion.camera.value(name) for occasion in occasions])
-    variance = np.array([occasion.camera.sigma_of(name) for occasion in occasions]) ** 2
+def _of_parameter(
+    name: str, cameras: Sequence[Camera], conditions: Sequence[tuple[str, Floats]]
+) -> Repeatability:
+    x = np.array([camera.value(name) for camera in cameras])
+    variance = np.array([camera.sigma_of(name) for camera in cameras]) ** 2
     n, ones = len(x), np.ones((len(x), 1))
     between = between_flights(x, variance, ones)
     (mean,), covariance = _fitted(x, variance + between, ones)
     sigma = math.sqrt(covariance[0, 0])
     scatter = float(np.sum((x - np.average(x, weights=1.0 / variance)) ** 2 / variance))
-    trends = (_trend(against, at, x, variance) for against, at in _conditions(occasions))
+    trends = (_trend(against, at, x, variance) for against, at in conditions)
     return Repeatability(
         name,
-        occasions[0].camera.unit,
+        cameras[0].unit,
         n,
         float(mean),
         sigma,
@@ -129,8 +125,8 @@ def _fitted(x: Floats, variance: Floats, design: Floats) -> tuple[Floats, Floats
 def _conditions(occasions: Sequence[Occasion]) -> list[tuple[str, Floats]]:
     """Temperatures and days, where all flights have them and they differ."""
     conditions = []
-    warm = [occasion.temperature_c for occasion in occasions]
-    days = [occasion.day.toordinal() / 100.0 if occasion.day else None for occasion in occasions]
+    warm = [temperature_c for _, _, temperature_c in occasions]
+    days = [day.toordinal() / 100.0 if day else None for _, day, _ in occasions]
     for against, values in (("temperature", warm), ("time", days)):
         known = np.array([value for value in values if value is not None], dtype=np.float64)
         if len(known) == len(occasions) and np.ptp(known) > 0.0:

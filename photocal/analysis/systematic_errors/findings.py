@@ -3,6 +3,8 @@
 Findings about cameras: extra parameters, assumed sigma, bias of c, significance, stability.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import special
 
@@ -16,7 +18,15 @@ from photocal.analysis.systematic_errors.search import Search, VarianceComponent
 from photocal.base.policy import policy
 from photocal.findings.finding import Figure, Finding, Severity, Size
 from photocal.geometry.camera import PARAMETERS
-from photocal.hypotheses.findings import Slips, asked_of, cause_findings, ground_effect, in_sigmas, no_slips
+from photocal.hypotheses.findings import (
+    Slips,
+    asked_of,
+    cause_findings,
+    ground_effect,
+    in_sigmas,
+    no_slips,
+    stated_sigma,
+)
 
 
 def moved_with_c(fitted: AdjustedNetwork, camera: int, change: float) -> float:
@@ -246,19 +256,8 @@ def of_stated(search: Search) -> list[Finding]:
         # What is known beforehand is stated with caution: no error of measurement says otherwise.
         if group.factor < 1.0 and group.name in ("camera", "mounting", "head", "rig"):
             continue
-        figures: dict[str, Figure] = {
-            "group": group.name,
-            "factor": group.factor,
-            "lower": group.lower,
-            "upper": group.upper,
-            "camera": group.of,
-        }
-        size = Size(group.factor, "1")
-        if group.factor > 1.0:
-            severity: Severity = "doubtful" if group.factor > policy.small_ratio else "note"
-            listed.append(Finding("sigmas-too-small", severity, group.name, figures, size=size))
-        else:
-            listed.append(Finding("sigmas-too-large", "note", group.name, figures, size=size))
+        found = stated_sigma(group)
+        listed.append(replace(found, figures={**found.figures, "camera": group.of}))
     return listed
 
 

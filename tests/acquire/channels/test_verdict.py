@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from acquire.channels.summary import verdict_on
+from acquire.channels.summary import verdict_lines, verdict_on
 
 
 def kind(name: str, longest_gap_s: float = 0.2) -> dict[str, Any]:
@@ -28,8 +28,8 @@ def figures(*links: dict[str, Any], complete: bool = True) -> dict[str, Any]:
 
 def test_a_whole_flight_is_complete() -> None:
     said = verdict_on(figures(ROVER, BASE), SEEN)
-    assert said.complete
-    assert said.lines() == [
+    assert said["complete"]
+    assert verdict_lines(said) == [
         "verdict: complete",
         "  pictures: 10 triggered, 10 reported by the autopilot, 10 time marks",
         "  can be processed: PPK yes; exposures yes",
@@ -57,10 +57,10 @@ def test_a_whole_flight_is_complete() -> None:
     ],
 )
 def test_what_lacks_is_named(links: tuple[dict[str, Any], ...], seen: dict[str, int], words: str) -> None:
-    assert words in "\n".join(verdict_on(figures(*links), seen).lines())
+    assert words in "\n".join(verdict_lines(verdict_on(figures(*links), seen)))
 
 
 def test_a_cut_log_is_not_complete() -> None:
     said = verdict_on(figures(ROVER, BASE, complete=False), SEEN)
-    assert not said.complete
-    assert "acquire recover" in "\n".join(said.lines())
+    assert not said["complete"]
+    assert "acquire recover" in "\n".join(verdict_lines(said))

@@ -16,7 +16,7 @@ from acquire.log.chunk import MAGIC, Channel
 from acquire.log.writer import LogWriter
 from acquire.monitor.state import RecordingState
 from acquire.monitor.tail import Tail, follow, tail_of
-from acquire.recording.files import LogFiles, RotationLimits
+from acquire.recording.files import LogFiles
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from tests.acquire.live import until
 
@@ -28,7 +28,7 @@ class Recorder:
     """Writes numbered messages as the recorder does, to files of its own."""
 
     def __init__(self, folder: Path, *, size: int = 0, clock_ns: Callable[[], int] = time.time_ns) -> None:
-        self.files = LogFiles([folder], lambda _: None, RotationLimits(size=size), clock_ns)
+        self.files = LogFiles([folder], lambda _: None, clock_ns, most_bytes=size)
         self.written = 0
 
     def write(self, count: int = 5, *, safe: bool = True) -> None:

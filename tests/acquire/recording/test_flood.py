@@ -19,7 +19,7 @@ from acquire.importing.recovery import recover
 from acquire.log.chunk import MAGIC
 from acquire.log.replay import raw_frames
 from acquire.recording.configuration import RecordingConfiguration
-from acquire.recording.files import LogFiles, RotationLimits
+from acquire.recording.files import LogFiles
 from acquire.recording.link_session import link_sessions
 from acquire.recording.reader import MOST_AT_ONCE, Arrival, Inbox, read_link
 from acquire.recording.recorder import record, source_of_link
@@ -124,7 +124,7 @@ def test_what_was_written_before_it_was_framed_is_framed_by_recover(tmp_path: Pa
     chosen = RecordingConfiguration.model_validate(
         configured({"name": "rover", "protocol": "ubx", "url": "file:x"})
     )
-    files = LogFiles([tmp_path], lambda _: None, RotationLimits(), time.time_ns)
+    files = LogFiles([tmp_path], lambda _: None, time.time_ns)
     dialect = ardupilotmega()
     session = link_sessions(chosen, files, {"rover": Script([])}, {}, dialect)["rover"]
     session.take(pieces[:2])

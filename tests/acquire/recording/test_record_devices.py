@@ -57,9 +57,9 @@ def test_an_autopilot_that_does_not_answer_is_told() -> None:
     asked = 0
     alarms: list[str] = []
     for second in range(8):
-        step = dialogue.step(batch if second == 0 else None, float(second), 0)
-        asked += len(step.frames)
-        alarms += step.alarms
+        frames, _, raised = dialogue.step(batch if second == 0 else None, float(second), 0)
+        asked += len(frames)
+        alarms += raised
     assert asked == 4
     assert alarms == ["does not send ATTITUDE at 10 Hz (no answer)"]
 
@@ -73,9 +73,9 @@ def test_an_autopilot_that_asks_the_time_is_answered() -> None:
     batch = StreamFramer((Wire.MAVLINK,)).feed(beat + asked)
     clock_ns = START_US * 1000
     dialogue = VehicleDialogue(ardupilotmega(), {}, 60.0)
-    sent = [mav.parse_buffer(frame)[0] for frame in dialogue.step(batch, 0.0, clock_ns).frames]
+    sent = [mav.parse_buffer(frame)[0] for frame in dialogue.step(batch, 0.0, clock_ns)[0]]
     assert [(m.tc1, m.ts1) for m in sent] == [(clock_ns, 123), (0, clock_ns)]
-    assert not VehicleDialogue(ardupilotmega(), {}, 0.0).step(batch, 0.0, clock_ns).frames
+    assert not VehicleDialogue(ardupilotmega(), {}, 0.0).step(batch, 0.0, clock_ns)[0]
 
 
 @pytest.mark.parametrize("generation", [8, 9])

@@ -17,7 +17,7 @@ from acquire.importing.recovery import recover
 from acquire.log.chunk import Channel, Schema
 from acquire.log.reader import LogReader
 from acquire.log.writer import LogWriter
-from acquire.recording.files import LogFiles, RotationLimits, worth
+from acquire.recording.files import LogFiles, worth
 from acquire.recording.log_file import WholeWrites
 from photocal.base.errors import OutputError
 from tests.acquire.live import until
@@ -80,7 +80,7 @@ def test_a_full_disk_sends_the_recording_to_the_spare_folder(code: int, tmp_path
     def make(path: Path) -> WholeWrites:
         return _SmallDisk(io.FileIO(path, "xb"), room, path.parent, code)
 
-    files = LogFiles([first, spare], _nothing, RotationLimits(), time.time_ns, make)
+    files = LogFiles([first, spare], _nothing, time.time_ns, make)
     sent = _fill(files, 40)
     files.close()
     assert [path.parent for path in files.paths] == [first, spare]
@@ -93,7 +93,7 @@ def test_when_every_disk_is_full_what_was_written_is_safe(tmp_path: Path) -> Non
     def make(path: Path) -> WholeWrites:
         return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
 
-    files = LogFiles([tmp_path], _nothing, RotationLimits(), time.time_ns, make)
+    files = LogFiles([tmp_path], _nothing, time.time_ns, make)
     sent = _fill(files, 40)
     with pytest.raises(OutputError, match="what was written is safe"):
         files.close()
@@ -108,9 +108,7 @@ def test_when_a_full_disk_has_room_again_nothing_is_lost(tmp_path: Path) -> None
     def make(path: Path) -> WholeWrites:
         return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
 
-    files = LogFiles(
-        [tmp_path], _nothing, RotationLimits(), lambda: clock["ns"], make, lambda: clock["ns"] / 1e9
-    )
+    files = LogFiles([tmp_path], _nothing, lambda: clock["ns"], make, lambda: clock["ns"] / 1e9)
     sent = _fill(files, 20)
     told = []
     for second in range(12):
@@ -143,7 +141,7 @@ def test_a_disk_that_fails_later_sends_the_recording_to_the_next_file(tmp_path: 
         made.append(path)
         return FailsOnce(io.FileIO(path, "xb"))
 
-    files = LogFiles([tmp_path], _nothing, RotationLimits(), time.time_ns, make)
+    files = LogFiles([tmp_path], _nothing, time.time_ns, make)
     sent = _fill(files, 1)
     told: list[tuple[str, str]] = []
 
@@ -170,7 +168,7 @@ def test_a_full_memory_keeps_camera_events_and_receivers_longest(
     def make(path: Path) -> WholeWrites:
         return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
 
-    files = LogFiles([tmp_path], _nothing, RotationLimits(), time.time_ns, make, lambda: clock["s"])
+    files = LogFiles([tmp_path], _nothing, time.time_ns, make, lambda: clock["s"])
     chance = np.random.default_rng(6)
     schema = Schema("photocal.Any", "jsonschema", b"{}")
     channels = {
@@ -219,7 +217,7 @@ def test_a_disk_that_hangs_sends_the_recording_to_the_next_folder(tmp_path: Path
         return Hanging(io.FileIO(path, "x+b"))
 
     folders = [tmp_path / "card", tmp_path / "spare"]
-    files = LogFiles(folders, _nothing, RotationLimits(), time.time_ns, make, lambda: clock["s"])
+    files = LogFiles(folders, _nothing, time.time_ns, make, lambda: clock["s"])
     sent, told = [], []
     for number in range(30):
         one = np.array([number], np.int64)
@@ -240,7 +238,7 @@ def test_a_disk_that_hangs_sends_the_recording_to_the_next_folder(tmp_path: Path
 
 
 def test_files_rotate_and_each_stands_for_itself(tmp_path: Path) -> None:
-    files = LogFiles([tmp_path], _nothing, RotationLimits(size=4000), time.time_ns)
+    files = LogFiles([tmp_path], _nothing, time.time_ns, most_bytes=4000)
     sent = _fill(files, 40)
     files.close()
     assert len(files.paths) >= 4

@@ -23,8 +23,7 @@ def calibrated(c: float, sigma: float) -> Camera:
 def occasions(values: np.ndarray, sigma: float, warm: np.ndarray | None = None) -> list[Occasion]:
     day = dt.date(2026, 1, 1)
     return [
-        Occasion(
-            f"f{i}",
+        (
             calibrated(c, sigma),
             day + dt.timedelta(days=10 * i) if warm is None else day,
             None if warm is None else float(warm[i]),
@@ -70,10 +69,7 @@ def test_a_future_flight_lies_within_what_is_predicted() -> None:
     for _ in range(count):
         sigma = rng.uniform(0.5e-3, 2e-3, 7)
         x = 8.8 + rng.normal(0.0, 3e-3, 7) + rng.normal(0.0, sigma)
-        flights = [
-            Occasion(str(i), calibrated(float(c), float(s)))
-            for i, (c, s) in enumerate(zip(x, sigma, strict=True))
-        ]
+        flights = [(calibrated(float(c), float(s)), None, None) for c, s in zip(x, sigma, strict=True)]
         (found,) = repeatability(flights)
         inside += abs(8.8 + rng.normal(0.0, 3e-3) - found.mean) < found.factor * found.future
     assert stats.binomtest(inside, count, 0.95).pvalue > 0.001

@@ -44,7 +44,7 @@ def test_sxb_indirect_as_in_dbat(sxb: Path) -> None:
     assert "SIMULATED" in direct.result.label
     assert 0.2 < direct.check.ratio < 2
     assert result.exposures is not None
-    np.testing.assert_allclose(result.exposures.rmse[3:], 0.08, rtol=0.7)
+    np.testing.assert_allclose(result.exposures[2][3:], 0.08, rtol=0.7)
     assert [method for method, _ in result.refused] == ["integrated"]
 
 

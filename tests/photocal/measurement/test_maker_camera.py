@@ -112,7 +112,7 @@ def test_new_asks_nothing_that_the_pictures_say(shared: Path, tmp_path: Path) ->
         for path in (shared / "data/dji-xmp" / name).glob("*.JPG"):
             (folder / path.name).symlink_to(path)
         made = new_project(folder)
-        assert made.asked == ()
+        assert made.asked == []
         assert [line for line in made.missing if "control" not in line] == []
         image = read_facts(next(folder.glob("*.JPG")))
         stated = stated_camera("c", image)

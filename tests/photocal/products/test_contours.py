@@ -178,11 +178,11 @@ def test_a_turned_raster_of_a_plane() -> None:
     heights = np.tile(10.05 - 0.1 * np.arange(40), (30, 1))
     transform = (np.cos(turn), np.sin(turn), 7.0, np.sin(turn), -np.cos(turn), 9.0)
     lines = contour_lines(Terrain(heights, transform, "", "local"), 1.0)
-    assert [line.number for line in lines] == [7, 8, 9, 10]
+    assert [number for number, _ in lines] == [7, 8, 9, 10]
     along = np.array([np.cos(turn), np.sin(turn)])
-    for line in lines:
-        column = (10.05 - line.number) / 0.1
-        assert (line.xy - (7.0, 9.0)) @ along == pytest.approx(column + 0.5, abs=1e-9)
+    for number, xy in lines:
+        column = (10.05 - number) / 0.1
+        assert (xy - (7.0, 9.0)) @ along == pytest.approx(column + 0.5, abs=1e-9)
 
 
 def test_points_of_a_table(tmp_path: Path) -> None:

@@ -146,10 +146,10 @@ def test_offsets_and_table_3_come_from_the_run(tmp_path: Path) -> None:
     analyse_run(tmp_path / "run", tmp_path / "flight")
     run, given, say = read_run(tmp_path / "run"), read_particulars(None, DAY), catalogue("en")
     rows = {
-        entry.key: entry
+        entry["key"]: entry
         for entry in entries(read_layout(), Context(run, given, derived_figures(run, "cam", given), say))
     }
-    assert rows["lever_arm"].origin == rows["eo_quality"].origin == "computed"
-    assert rows["lever_arm"].value.startswith("dX")
-    assert rows["boresight"].origin == "not_determined"
-    assert rows["eo_quality"].value.startswith("RMSE X 0.0")
+    assert rows["lever_arm"]["origin"] == rows["eo_quality"]["origin"] == "computed"
+    assert rows["lever_arm"]["value"].startswith("dX")
+    assert rows["boresight"]["origin"] == "not_determined"
+    assert rows["eo_quality"]["value"].startswith("RMSE X 0.0")

@@ -45,41 +45,41 @@ def context(run: AnalysedRun, particulars: Metadata, language: str = "en") -> Co
 def test_layout_has_the_rows_of_the_form_in_their_order(shared: Path) -> None:
     with (shared / "reference/phantom4pro/certificate_layout.csv").open(encoding="utf-8") as stream:
         form = [(row["section"], row["item"]) for row in csv.DictReader(stream)]
-    assert [(row.section, row.item) for row in read_layout()] == form
+    assert [(row["section"], row["item"]) for row in read_layout()] == form
     assert len(form) == 47
 
 
 def test_keys_are_unique() -> None:
-    keys = [row.key for row in read_layout()]
+    keys = [row["key"] for row in read_layout()]
     assert len(keys) == len(set(keys)) == 47
 
 
 @pytest.mark.parametrize("language", ["en", "pt-BR"])
 def test_all_rows_are_filled_from_complete_particulars(invented_run: AnalysedRun, language: str) -> None:
     filled = entries(read_layout(), context(invented_run, fitting(), language))
-    assert [entry.key for entry in filled if entry.origin == "not_determined"] == []
-    assert all(entry.value.strip() for entry in filled)
+    assert [entry["key"] for entry in filled if entry["origin"] == "not_determined"] == []
+    assert all(entry["value"].strip() for entry in filled)
 
 
 def test_without_particulars_the_rest_is_marked(invented_run: AnalysedRun) -> None:
-    filled = {e.key: e for e in entries(read_layout(), context(invented_run, Metadata(date=DAY)))}
+    filled = {e["key"]: e for e in entries(read_layout(), context(invented_run, Metadata(date=DAY)))}
     assert len(filled) == 47
     for key in ("camera_model", "lens_serial", "lever_arm", "boresight", "responsible", "pixel_size", "iso"):
-        assert filled[key].origin == "not_determined"
-        assert filled[key].value == "not determined"
-    assert filled["photos"].value == "4"
-    assert filled["targets"].value == "7"
-    assert filled["readings"].value == "28"
+        assert filled[key]["origin"] == "not_determined"
+        assert filled[key]["value"] == "not determined"
+    assert filled["photos"]["value"] == "4"
+    assert filled["targets"]["value"] == "7"
+    assert filled["readings"]["value"] == "28"
 
 
 def test_given_numbers_keep_their_digits(invented_run: AnalysedRun) -> None:
-    filled = {e.key: e.value for e in entries(read_layout(), context(invented_run, fitting()))}
+    filled = {e["key"]: e["value"] for e in entries(read_layout(), context(invented_run, fitting()))}
     assert filled["exposure_time"] == "0.001"
     assert filled["pixel_size"] == "0.00241"
     assert filled["iso"] == "100"
     assert filled["gsd"] == "2.93"
     portuguese = context(invented_run, fitting(), "pt-BR")
-    assert {e.key: e.value for e in entries(read_layout(), portuguese)}["gsd"] == "2,93"
+    assert {e["key"]: e["value"] for e in entries(read_layout(), portuguese)}["gsd"] == "2,93"
 
 
 def test_pictures_tell_exposure_where_nobody_typed_it(invented_run: AnalysedRun, tmp_path: Path) -> None:
@@ -87,15 +87,18 @@ def test_pictures_tell_exposure_where_nobody_typed_it(invented_run: AnalysedRun,
     counts = dict.fromkeys(("images", "strips", "tilt_over_3_deg", "tilt_over_5_deg", "smear_over_limit"), 0)
     figures: dict[str, Any] = {**counts, "gaps": [], "exposure_ms": one, "iso": None}
     told = read_particulars(None, DAY, flown=figures)
-    filled = {e.key: e for e in entries(read_layout(), context(invented_run, told))}
+    filled = {e["key"]: e for e in entries(read_layout(), context(invented_run, told))}
     # 1/1600 s.
-    assert (filled["exposure_time"].value, filled["exposure_time"].origin) == ("0.000625 (EXIF)", "given")
-    assert filled["iso"].origin == "not_determined"
-    assert filled["rtk_advice"].origin == "fixed"
+    assert (filled["exposure_time"]["value"], filled["exposure_time"]["origin"]) == (
+        "0.000625 (EXIF)",
+        "given",
+    )
+    assert filled["iso"]["origin"] == "not_determined"
+    assert filled["rtk_advice"]["origin"] == "fixed"
     given = tmp_path / "given.toml"
     given.write_text("[campaign]\nexposure_time_s = 0.001\n", encoding="utf-8")
     typed = context(invented_run, read_particulars(given, DAY, flown=figures))
-    assert {e.key: e.value for e in entries(read_layout(), typed)}["exposure_time"] == "0.001"
+    assert {e["key"]: e["value"] for e in entries(read_layout(), typed)}["exposure_time"] == "0.001"
     given.write_text("[flown]\nimages = 12\n", encoding="utf-8")
     with pytest.raises(ConfigurationError, match="flown is measured, not given"):
         read_particulars(given, DAY)
@@ -103,7 +106,7 @@ def test_pictures_tell_exposure_where_nobody_typed_it(invented_run: AnalysedRun,
 
 def test_interior_orientation_in_millimetres(invented_run: AnalysedRun) -> None:
     """3412.50 px of 2.41 um are 8.2241 mm; K1 = 1.2e-9 px^-2 is 2.066e-4 mm^-2."""
-    filled = {e.key: e.value for e in entries(read_layout(), context(invented_run, fitting()))}
+    filled = {e["key"]: e["value"] for e in entries(read_layout(), context(invented_run, fitting()))}
     assert filled["iop_table"].startswith("c 8.2241 ± 0.0010 mm")
     assert "K₁ (2.07 ± 0.34) × 10⁻⁴ mm⁻²" in filled["iop_table"]
 

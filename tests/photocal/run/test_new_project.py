@@ -47,7 +47,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_pictures_alone(folder: Path) -> None:
     made = new_project(folder)
-    assert made.asked == ()
+    assert made.asked == []
     assert any("no control points" in line for line in made.missing)
     project = read_project(made.path)
     assert project.crs == "EPSG:32722"
@@ -100,7 +100,7 @@ def test_a_brazilian_table_and_marks_beside_it(folder: Path) -> None:
     (folder / "pontos.csv").write_bytes(table.encode("cp1252"))
     (folder / "marcas.csv").write_text("image;point;x;y\na0;Água;10,5;20\na1.jpg;Água;30;40\n")
     made = new_project(folder)
-    assert made.asked == ("height: whether the control points' heights are ellipsoidal or orthometric",)
+    assert made.asked == ["height: whether the control points' heights are ellipsoidal or orthometric"]
     with pytest.raises(ConfigurationError, match="height = '\\?' is still to be filled in"):
         read_project(made.path)
     made.path.write_text(made.path.read_text().replace('height = "?"', 'height = "ellipsoidal"'))
