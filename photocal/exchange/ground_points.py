@@ -134,7 +134,7 @@ def _row(line: Line) -> GcpRow:
             f"has {len(cells)} cells where X Y Z column row image were expected",
             "complete the row, or is the file cut?",
         )
-    x, y, z, column, row = numbers(" ".join(cells[:5]), line.place, "ground point")
+    x, y, z, column, row = numbers(" ".join(cells[:5]), line.place, "ground point", 5)
     return GcpRow(line, (x, y, z), column, row, cells[5], cells[6] if len(cells) > 6 else "")
 
 

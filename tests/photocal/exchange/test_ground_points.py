@@ -58,6 +58,7 @@ def test_recorded_gcp_list(shared: Path) -> None:
     ("text", "message"),
     [
         ("1 2 3 4 5 a.jpg\n", "not with a coordinate system"),
+        ("EPSG:31982\n1\t2\t\t4\t5\ta.jpg\n", "4 values where 5 were expected"),
         (
             "EPSG:39791798743.39 -68423.09 179.77 4033 1367 image1.tif\n1 2 3 4 5 a.jpg\n",
             "not with a coordinate",
