@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from photocal.base.errors import InputNotFoundError
-from photocal.base.files import output_file
-from photocal.block.model import digest
+from photocal.base.files import digest, output_file
 from photocal.measurement.features import sweep, touch
 from photocal.measurement.image_file import as_eight_bit, as_stored, opened, read_grey
 
