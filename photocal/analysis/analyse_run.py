@@ -11,9 +11,9 @@ from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
 from photocal.analysis.left_out import Checks
 from photocal.analysis.outcome import ANALYSIS, Analysis, ExteriorDifference, Outcome, analyse_network
 from photocal.base.arrays import as_plain
-from photocal.base.files import output_file, write_json
+from photocal.base.files import digest, output_file, write_json
 from photocal.base.policy import policy
-from photocal.block.model import Block, digest
+from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock, block_frame
 from photocal.exchange.formats import read_any_block
 from photocal.findings.finding import Finding

@@ -4,6 +4,7 @@ Names that people give: on one line, without characters that hide, and compared 
 """
 
 import csv
+import hashlib
 import io
 import json
 import os
@@ -103,6 +104,12 @@ def output_folder(path: Path) -> Iterator[Path]:
                 made.replace(final)
     finally:
         shutil.rmtree(aside, ignore_errors=True)
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

@@ -1,6 +1,5 @@
 """A block: cameras, images, points and their observations, as the surveyor gave them."""
 
-import hashlib
 from dataclasses import dataclass, field, replace
 from html import escape
 from importlib import import_module
@@ -20,6 +19,7 @@ from photocal.adjustment.mounting import (
 from photocal.adjustment.network import NO_RELATIONS, Relations
 from photocal.adjustment.solution import Sided
 from photocal.base.arrays import Columns, Flags, Floats, Integers
+from photocal.base.files import digest
 from photocal.block.rig import Head
 from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import OrientedImages
@@ -40,12 +40,6 @@ class InputFile:
     path: str
     sha256: str
     bytes: int
-
-
-def digest(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def fingerprint(path: Path, name: str = "") -> InputFile:

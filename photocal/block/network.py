@@ -1,7 +1,4 @@
-"""From a block to the network that is adjusted: units, axes, origin, start values, and what is missing.
-
-Rays that the atmosphere bends, and heights above a curved earth, as a stated choice.
-"""
+"""From a block to the network that is adjusted: units, axes, origin, start values, and what is missing."""
 
 from dataclasses import dataclass, replace
 
@@ -28,26 +25,9 @@ from photocal.geometry.camera import Camera, among, pixel_to_plane, plane_to_pix
 from photocal.geometry.distortion import slopes_of
 from photocal.geometry.frames import LocalFrame, ShiftedFrame, reference_frame, require_geoid
 from photocal.geometry.oriented_images import OrientedImages, local_poses
+from photocal.geometry.refraction import apparent_rise
 from photocal.geometry.resection import intersect, ray_residuals
 from photocal.geometry.rotation import matrix_from_angles
-
-# Mean radius of the earth, m: a hundredth of it changes what is said here by a hundredth of itself.
-RADIUS_M = 6_371_000.0
-
-
-def apparent_rise(apart: Floats, refraction: float, *, curved: bool) -> Floats:
-    """By how much points seem to lie higher than on a straight ray over a plane earth, m, shape (n,).
-
-    A ray is an arc of the radius R/k: seen over the distance s a point rises by k s^2 / 2R. Where heights
-    count from a curved earth but coordinates are plane, it sinks by d^2 / 2R, d its level distance.
-
-    apart (n, 3): from the camera to the point, m.
-    refraction: coefficient k, ratio of the radii of earth and ray; 0.13 by Gauss, 0.17 in the standard
-        atmosphere, 503 p/T^2 (0.0343 + dT/dz) of pressure (hPa) and temperature (K).
-    """
-    level = np.sum(apart[:, :2] ** 2, axis=1)
-    bent = refraction * (level + apart[:, 2] ** 2)
-    return np.asarray((bent - curved * level) / (2.0 * RADIUS_M))
 
 
 def straightened(network: Network, refraction: float, *, curved: bool) -> Network:

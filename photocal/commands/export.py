@@ -32,8 +32,9 @@ def export(
     """
     from photocal.base.files import output_folder
     from photocal.base.geodesy import GeodeticPlace
-    from photocal.exchange.exporting import Choices, middle, of_result
+    from photocal.exchange.exporting import Choices, middle
     from photocal.exchange.formats import named
+    from photocal.results.adjusted_block import adjusted_block
     from photocal.results.folder import read_result
 
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
@@ -46,7 +47,7 @@ def export(
         )
     chosen = named(form)
     adjusted = read_result(run)
-    given, residuals_px = of_result(adjusted)
+    given, residuals_px = adjusted_block(adjusted)
     choices = Choices(cast("Angle", angle_unit) if angle_unit else None, touching, now, residuals_px)
     with output_folder(output) as aside:
         conversions = chosen.write(aside, given, choices)

@@ -166,7 +166,7 @@ def verify(
         _printed(certificate, as_json)
         return
     from photocal.base.arrays import as_plain
-    from photocal.block.model import digest
+    from photocal.base.files import digest
     from photocal.findings.texts import catalogue
     from photocal.findings.verdict import verdict_json
     from photocal.report.issue import NAME, read_record

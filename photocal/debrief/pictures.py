@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.adjustment.solution import Solution
 from photocal.base.errors import PhotocalError
+from photocal.base.files import digest
 from photocal.base.policy import policy
 from photocal.base.progress import Progress
-from photocal.block.model import digest
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.camera import Camera
 from photocal.measurement.features import Arrays, FeatureSettings, cached, combined_key, detect
@@ -23,7 +22,7 @@ from photocal.measurement.match_images import FEATURES, MatchingPlan, match_all
 from photocal.measurement.oriented_ties import first_orientation
 from photocal.measurement.picture_tests import judge_pictures
 from photocal.measurement.position_files import local_places
-from photocal.measurement.tie_adjustment import camera_figures, with_released_c
+from photocal.measurement.tie_adjustment import camera_figures, told_by_rays, with_released_c
 from photocal.measurement.tie_block import start_block
 from photocal.navigation.exposures import Exposures
 
@@ -154,8 +153,8 @@ def _blurred(looks: Sequence[PictureQuality]) -> list[PictureQuality]:
 
 # A principal distance of the quick orientation that differs by so many sigmas of both, and by this share.
 _CHANGED_SIGMAS, _CHANGED_SHARE = 4.0, 5e-4
-# Positions are held so many times more loosely to see whether they pull c, by so many sigmas.
-_LOOSE, _PULLED = 10.0, 3.0
+# Positions are held so many times more loosely to see whether they pull c.
+_LOOSE = 10.0
 
 
 @dataclass(frozen=True)
@@ -218,19 +217,6 @@ def orient_quickly(
         loosely = with_released_c(adjusted, _LOOSE)
         cameras = camera_figures(adjusted, told_by_rays(freed, loosely))
         return Quick(len(adjusted.start.images.names), first.left_out, cameras, ground)
-
-
-def told_by_rays(freed: Solution | None, loosely: Solution | None) -> Solution | None:
-    """Of two adjustments that with loose positions, where these pull c by more than errors of each could.
-
-    What positions have in common (a time offset, a lever arm, the air) stands in none of their sigmas. But
-    for it the difference has the difference of both variances (Hausman 1978).
-    """
-    if freed is None or loosely is None:
-        return freed
-    away = freed.cameras[:, 0] - loosely.cameras[:, 0]
-    more = loosely.camera_covariance[:, 0, 0] - freed.camera_covariance[:, 0, 0]
-    return loosely if (away**2 > _PULLED**2 * np.maximum(more, 0.0)).any() else freed
 
 
 def _known(stated: Camera, last: Sequence[Camera]) -> Camera:

@@ -13,7 +13,6 @@ from photocal.base.files import output_file, write_json
 from photocal.base.operating_system import cache_folder
 from photocal.base.progress import Progress
 from photocal.base.workers import Workers, run_tasks
-from photocal.block.motion import strips
 from photocal.debrief import pictures
 from photocal.debrief.pictures import PictureQuality, Quick, picture_findings
 from photocal.findings.digits import Number
@@ -21,6 +20,7 @@ from photocal.findings.finding import Finding, Severity, untested
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, findings_of
 from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import oriented_images
+from photocal.geometry.strips import strips
 from photocal.measurement.image_file import list_images
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.match_images import MatchingPlan

@@ -28,6 +28,7 @@ class OpenMarking:
     def __init__(self, desk: Desk, run: Path | None = None) -> None:
         self._desk, self._run, self._lock = desk, run, threading.Lock()
         self._made: tuple[object, MarkingService] | None = None
+        self.opened = False
 
     def __call__(self) -> MarkingService:
         """Give it; errors as of `scene_of_project`."""
@@ -44,6 +45,12 @@ class OpenMarking:
                 store = before if before is not None and before.path == path else MarkStore(path)
                 self._made = known, MarkingService(scene, store)
             return self._made[1]
+
+    def place(self) -> dict[str, Any]:
+        """What the place Mark begins with, and the command that opens it; from now on it is opened."""
+        self.opened = True
+        run: list[str | Path] = [] if self._run is None else ["--run", self._run]
+        return self().project() | {"line": self._desk.line(["mark", self._desk.folder, *run])}
 
 
 def _known(project: Project) -> object:
@@ -62,18 +69,15 @@ def _known(project: Project) -> object:
     return [*zip(read, [seen and (seen.st_mtime_ns, seen.st_ino) for seen in facts], strict=True)]
 
 
-def routes(marking: Service, line: Callable[[], str] = str) -> list[BaseRoute]:
-    """Return what answers for the place Mark.
-
-    line: command line that opens it.
-    """
+def routes(marking: Service, place: Callable[[], dict[str, Any]]) -> list[BaseRoute]:
+    """Return what answers for the place Mark; `place` says what it begins with."""
 
     def found(given: dict[str, str]) -> dict[str, Any]:
         """Give the pictures that may show a point."""
         return marking().images(given.get("point", ""))
 
     return [
-        telling("/api/mark/project", lambda: marking().project() | {"line": line()}),
+        telling("/api/mark/project", place),
         telling("/api/mark/state", lambda: marking().state()),
         finding("/api/mark/images", found),
         doing("/api/mark/mark", lambda body: marking().mark(body)),

@@ -90,18 +90,15 @@ def application(root: Path, cache: Path, place: str = "", run: Path | None = Non
     raises InputNotFoundError: when there is no such folder.
     """
     desk = Desk(root, cache)
-    pictures = tiles.OpenPictures(desk)
+    pictures, marked = tiles.OpenPictures(desk), marking.OpenMarking(desk, run)
     opens = {"next": place} if place else {}
     return _served(
         lambda: shown(desk) | opens,
         calling(_speak, desk),
         *(route for step in _STEPS for route in step(desk)),
         *look.routes(desk, pictures),
-        *marking.routes(
-            marking.OpenMarking(desk, run),
-            lambda: desk.line(["mark", desk.folder, *(("--run", run) if run else ())]),
-        ),
-        tiles.route(pictures, cache),
+        *marking.routes(marked, marked.place),
+        tiles.route(pictures, cache, lambda: marked.opened),
     )
 
 
@@ -113,8 +110,8 @@ def marking_application(scene: Scene, store: MarkStore, cache: Path) -> Starlett
     return _served(
         lambda: told,
         calling(_spoken),
-        *marking.routes(lambda: service),
-        tiles.route(lambda: scene.pictures, cache),
+        *marking.routes(lambda: service, service.project),
+        tiles.route(lambda: scene.pictures, cache, lambda: True),
     )
 
 

@@ -16,10 +16,10 @@ from photocal.base.checked_toml import read_tables
 from photocal.base.errors import InputNotFoundError
 from photocal.desk.session import Desk
 from photocal.measurement.marking.store import Picture, read_pictures
-from photocal.measurement.marking.tiles import TileAddress, Tiles
+from photocal.measurement.marking.tiles import HELD_PX, TileAddress, Tiles
 
-# Decoded pictures in memory: one is looked at, the others are thumbnails.
-_HELD_PX = 25_000_000
+# Decoded pictures in memory where one is looked at, and the others are thumbnails.
+_ALONE_PX = 25_000_000
 Pictures = Callable[[], Mapping[str, Picture]]
 
 
@@ -46,9 +46,12 @@ class OpenPictures:
             return self._read[1]
 
 
-def route(known: Pictures, cache: Path) -> Route:
-    """Return the route to tiles of pictures, by level, column and row; no other file is ever opened."""
-    tiles = Tiles(cache, held_px=_HELD_PX)
+def route(known: Pictures, cache: Path, side_by_side: Callable[[], bool]) -> Route:
+    """Return the route to tiles of pictures, by level, column and row; no other file is ever opened.
+
+    side_by_side: whether several pictures are looked at by now: all of them are held.
+    """
+    tiles = Tiles(cache, held_px=_ALONE_PX)
 
     def tile(image: str, level: int, column: int, row: int) -> bytes:
         """Give a tile as JPEG."""
@@ -58,6 +61,8 @@ def route(known: Pictures, cache: Path) -> Route:
             raise missing("is no picture of this project", "choose one of the list")
         if picture.reason:
             raise missing(picture.reason, "choose another picture")
+        if side_by_side():
+            tiles.held_px = HELD_PX
         return tiles.tile(picture.path, TileAddress(level, column, row))
 
     async def give(request: Request) -> Response:

@@ -12,8 +12,8 @@ from scipy import special
 from photocal.base.arrays import Floats, Integers
 from photocal.base.policy import policy
 from photocal.block.model import Block
-from photocal.block.motion import lines_of_places
 from photocal.findings.finding import FACTOR, Figure, Finding, Severity, untested
+from photocal.geometry.strips import lines_of_places
 from photocal.georeferencing.causes import Separation
 from photocal.georeferencing.comparison import BlockCheck, Differences, Judged, coarsely_placed
 from photocal.georeferencing.methods import Method

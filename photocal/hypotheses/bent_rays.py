@@ -6,7 +6,7 @@ from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
 from photocal.base.arrays import Floats, Integers
 from photocal.base.policy import policy
-from photocal.block.network import apparent_rise
+from photocal.geometry.refraction import apparent_rise
 from photocal.hypotheses.fields import RayField
 
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from photocal.base.arrays import Bytes, Flags, Floats, Integers
 from photocal.base.errors import InputNotFoundError, PhotocalError
+from photocal.base.files import digest
 from photocal.base.operating_system import cache_folder
 from photocal.base.progress import Progress
 from photocal.base.workers import Workers, affordable, run_tasks
-from photocal.block.model import digest
 from photocal.measurement.features import (
     Arrays,
     Features,

@@ -11,9 +11,10 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.snooping import snoop
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError, InputNotFoundError
+from photocal.base.files import digest
 from photocal.base.progress import Progress
 from photocal.block.folder import read_relations
-from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations, digest
+from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
 from photocal.block.network import assemble
 from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.resection import resection

@@ -423,6 +423,21 @@ def with_released_c(adjusted: AdjustedTies, loosely: float = 1.0) -> Solution | 
         return None
 
 
+def told_by_rays(freed: Solution | None, loosely: Solution | None) -> Solution | None:
+    """Of two adjustments that with loose positions, where these pull c by more than errors of each could.
+
+    What positions have in common (a time offset, a lever arm, the air) stands in none of their sigmas. But
+    for it the difference has the difference of both variances (Hausman 1978).
+    """
+    if freed is None or loosely is None:
+        return freed
+    # In sigmas of the difference.
+    pulled = 3.0
+    away = freed.cameras[:, 0] - loosely.cameras[:, 0]
+    more = loosely.camera_covariance[:, 0, 0] - freed.camera_covariance[:, 0, 0]
+    return loosely if (away**2 > pulled**2 * np.maximum(more, 0.0)).any() else freed
+
+
 def _released(adjusted: AdjustedTies, freed: Solution, k: int) -> dict[str, Any]:
     solution = adjusted.solution
     change = float(freed.cameras[k, 0] / solution.cameras[k, 0] - 1)

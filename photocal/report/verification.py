@@ -10,7 +10,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from photocal.analysis.analyse_run import analyse_run
-from photocal.block.model import InputFile, digest
+from photocal.base.files import digest
+from photocal.block.model import InputFile
 from photocal.exchange.formats import read_any_block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, findings_of

@@ -14,11 +14,11 @@ from photocal.base.arrays import Flags, Integers
 from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.base.progress import Progress
 from photocal.block.model import Block
-from photocal.block.motion import strips
 from photocal.block.setup import MountingKeys
 from photocal.findings.finding import Finding
 from photocal.findings.listed import Findings
 from photocal.geometry.rotation import object_to_body
+from photocal.geometry.strips import strips
 from photocal.navigation.exposure_files import projected, with_images
 from photocal.navigation.exposures import Exposures
 from photocal.project import Project

@@ -16,10 +16,11 @@ from photocal.base.errors import IllPosedError, InputMalformedError
 from photocal.base.geopackage import changed_utc
 from photocal.base.progress import Progress
 from photocal.block.model import Block
-from photocal.block.motion import lines_of_places, strips, velocity_of_neighbours
+from photocal.block.motion import velocity_of_neighbours
 from photocal.block.network import local_positions
 from photocal.findings.texts import as_record
 from photocal.geometry.frames import LocalFrame
+from photocal.geometry.strips import lines_of_places, strips
 from photocal.georeferencing.findings import control_by_strip
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import each_picture, list_images

@@ -21,11 +21,10 @@ from typing import TYPE_CHECKING, Any, TextIO
 from photocal.adjustment.ledger import ledger
 from photocal.base.console import printable
 from photocal.base.errors import InputNotFoundError, OutputError
-from photocal.base.files import filled, output_file, refusals, write_json
+from photocal.base.files import digest, filled, output_file, refusals, write_json
 from photocal.base.operating_system import lock as take
 from photocal.base.progress import Progress
 from photocal.base.version import __version__
-from photocal.block.model import digest
 
 if TYPE_CHECKING:
     from photocal.project import Project

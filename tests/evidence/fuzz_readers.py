@@ -41,7 +41,6 @@ from photocal.base.errors import PhotocalError
 from photocal.block.folder import read_block
 from photocal.cli import app
 from photocal.exchange.colmap import read_colmap
-from photocal.exchange.exporting import of_result
 from photocal.exchange.formats import FORMATS, read_foreign_block, read_foreign_project
 from photocal.exchange.ground_points import read_gcp_list, read_geo
 from photocal.exchange.metashape import read_metashape
@@ -52,6 +51,7 @@ from photocal.navigation.engine import read_solution
 from photocal.navigation.events import read_mrk
 from photocal.navigation.precise_results import read_observation_file
 from photocal.project import read_project
+from photocal.results.adjusted_block import adjusted_block
 from photocal.results.folder import read_result
 from tests.photocal.exchange import test_rigs
 from tests.photocal.exchange.test_hostile import small_archive
@@ -183,7 +183,7 @@ def _foreign(run: Path, folder: Path) -> Iterator[Reader]:
     )
     for own in (params, *rigs):
         own.mkdir()
-    pix4d(params, of_result(read_result(run))[0])
+    pix4d(params, adjusted_block(read_result(run))[0])
     (params / "field 3_camera.cam").write_text(SENSOR_LINE)
     archive = small_archive(folder, {})
     test_rigs.test_opensfm(rigs[0])

@@ -154,6 +154,8 @@ function rail() {
       language === "en" ? "Português" : "English",
     ),
   );
+  // On a telephone the rail is a row that is longer than the screen.
+  rail.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest", inline: "center" });
   if (focused !== undefined) rail.querySelector(focused ? `a[href="${focused}"]` : "button.language").focus();
 }
 

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from photocal.base.errors import InputNotFoundError
-from photocal.base.files import output_file
-from photocal.block.model import digest
+from photocal.base.files import digest, output_file
 from photocal.measurement.features import sweep, touch
 from photocal.measurement.image_file import as_eight_bit, as_stored, opened, read_grey
 
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 TILE_PX = 512
 # Decoded levels are held until they are this many pixels together, 4 bytes each; one may be larger.
-_HELD_PX = 80_000_000
+HELD_PX = 80_000_000
 # Tiles on disk: about 40 pictures of 50 megapixels looked at all over, for a month.
 MOST_BYTES = 2_000_000_000
 UNUSED_S = 30 * 86_400.0
@@ -51,8 +50,8 @@ class Tiles:
     held_px: of decoded levels in memory.
     """
 
-    def __init__(self, cache: Path, most_bytes: int = MOST_BYTES, held_px: int = _HELD_PX) -> None:
-        self._held_px = held_px
+    def __init__(self, cache: Path, most_bytes: int = MOST_BYTES, held_px: int = HELD_PX) -> None:
+        self.held_px = held_px
         # Raised whenever tiles of the same content would look different.
         version = 1
         self._folder, self._most_bytes = cache / f"tiles{version}", most_bytes
@@ -147,7 +146,7 @@ class Tiles:
         """Let the levels go that were used longest ago, until so many pixels more have room."""
         kept = int(more_px == 0)
         while len(self._levels) > kept and (
-            more_px + sum(image.width * image.height for image in self._levels.values()) > self._held_px
+            more_px + sum(image.width * image.height for image in self._levels.values()) > self.held_px
         ):
             self._levels.popitem(last=False)
 

@@ -88,7 +88,7 @@ def test_pieces_whose_strips_would_fill_the_memory_are_fewer(monkeypatch: pytest
     _, network = rigs.flight(np.random.default_rng(4), exposures=8, points=300)
     monkeypatch.setattr(normal, "RAYS_IN_PIECE", 100)
     many = prepare(network)
-    monkeypatch.setattr(normal, "STRIPS", many.strips.offset[-1])
+    monkeypatch.setattr(normal, "STRIPS", many.layout.strips.offset[-1])
     few = prepare(network)
     assert 1 < len(few.design.pieces) < len(many.design.pieces)
     state = start_state(network)

@@ -15,8 +15,8 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import PhotocalError
 from photocal.block.folder import read_block
 from photocal.block.model import Block
-from photocal.block.network import RADIUS_M, apparent_rise
 from photocal.block.writer import write_block
+from photocal.geometry.refraction import RADIUS_M, apparent_rise
 
 
 def seen_at(height: float, level: float, refraction: float, *, curved: bool = False) -> float:

@@ -15,8 +15,8 @@ import pytest
 
 from photocal.base.errors import ConfigurationError
 from photocal.block.camera_setup import CameraKeys, make_camera
-from photocal.exchange.exporting import of_result
 from photocal.products.oriented import oriented
+from photocal.results.adjusted_block import adjusted_block
 from photocal.results.folder import read_result
 from photocal.results.more_tables import Wanted, parse_joint
 from tests.photocal.blocks import adjusted_json
@@ -102,7 +102,7 @@ def test_photo_variant_principal_points_lower_the_residuals_as_published(tmp_pat
     assert 1000 * math.sqrt(squares / (2 * rays)) == pytest.approx(1.1, abs=0.05)
     # A format with one lens for all images would lose them without a word.
     with pytest.raises(ConfigurationError, match="x0, y0 from image to image"):
-        of_result(read_result(tmp_path / "run"))[0]
+        adjusted_block(read_result(tmp_path / "run"))[0]
     with pytest.raises(ConfigurationError, match="vary from image to image"):
         oriented(block, tmp_path / "run")
     table = rows(tmp_path / "run" / "photo_variant.csv")

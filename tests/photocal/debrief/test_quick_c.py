@@ -8,7 +8,7 @@ import numpy as np
 
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.solution import Solution
-from photocal.debrief.pictures import told_by_rays
+from photocal.measurement.tie_adjustment import told_by_rays
 from tests.photocal.networks import convergent, lens, observe
 
 STATED_M, FLIGHTS = 0.002, 20

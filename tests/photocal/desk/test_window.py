@@ -226,6 +226,7 @@ def test_a_telephone_shows_the_recording(
     page = context.new_page()
     page.goto(f"http://127.0.0.1:{port}/#/record")
     expect(page.locator("main h1")).to_have_text("Record")
+    expect(page.locator("#rail [aria-current]")).to_be_in_viewport()
     wide = page.evaluate("document.documentElement.scrollWidth")
     assert wide <= 390
     context.close()

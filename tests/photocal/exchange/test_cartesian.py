@@ -16,12 +16,12 @@ from photocal.base.errors import ConfigurationError
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.cli import app
-from photocal.exchange.exporting import of_result
 from photocal.exchange.ground_points import read_gcp_list, read_geo
 from photocal.geometry.camera import camera
 from photocal.geometry.frames import nearest_rotation, reference_frame
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.results.adjusted import result_of
+from photocal.results.adjusted_block import adjusted_block
 from photocal.results.folder import read_result, write_result
 from tests.photocal.exchange.conftest import reconstruction_of, to_adjust, with_roles
 
@@ -83,7 +83,7 @@ def test_pycolmap_reproduces_the_residuals_of_the_adjustment(run: Path, tmp_path
     assert isinstance(origin, dict)
     assert (origin["frame"], origin["height"]) == ("EPSG:31982", "ellipsoidal")
     assert np.abs(np.array([origin["x"], origin["y"]]) - PLACE[:2]).max() < 500
-    ours = residuals(*of_result(read_result(run)))
+    ours = residuals(*adjusted_block(read_result(run)))
     model = pycolmap.Reconstruction(str(tmp_path))
     apart = []
     for image in model.images.values():
@@ -96,7 +96,7 @@ def test_pycolmap_reproduces_the_residuals_of_the_adjustment(run: Path, tmp_path
 
 def test_places_on_the_earth_need_no_origin(run: Path, tmp_path: Path) -> None:
     exported(run, tmp_path, "--format", "geojson")
-    given = of_result(read_result(run))[0]
+    given = adjusted_block(read_result(run))[0]
     turn = pyproj.Transformer.from_crs("EPSG:31982", "EPSG:4326", always_xy=True)
     features = json.loads((tmp_path / "block.geojson").read_text())["features"]
     exposures = [f["geometry"]["coordinates"] for f in features if f["properties"]["kind"] == "exposure"]
@@ -109,7 +109,7 @@ def test_places_on_the_earth_need_no_origin(run: Path, tmp_path: Path) -> None:
 
 
 def test_lists_and_tables_keep_map_coordinates(run: Path, tmp_path: Path) -> None:
-    given = of_result(read_result(run))[0]
+    given = adjusted_block(read_result(run))[0]
     assert exported(run, tmp_path, "--format", "odm")["origin"] is None
     crs, places, marks = read_gcp_list(tmp_path / "gcp_list.txt")
     assert crs == "EPSG:31982"

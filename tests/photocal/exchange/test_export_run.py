@@ -17,11 +17,12 @@ from photocal.block.network import assemble
 from photocal.cli import app
 from photocal.commands.export import FORMATS
 from photocal.exchange.colmap import read_colmap
-from photocal.exchange.exporting import Choices, of_result
+from photocal.exchange.exporting import Choices
 from photocal.exchange.formats import FORMATS as ALL
 from photocal.exchange.formats import named
 from photocal.exchange.metashape import read_metashape
 from photocal.results.adjusted import result_of
+from photocal.results.adjusted_block import adjusted_block
 from photocal.results.folder import read_result, write_result
 from tests.photocal.exchange.conftest import residuals_of, roles_of, to_adjust
 
@@ -53,7 +54,7 @@ def run_in_mm(tmp_path_factory: pytest.TempPathFactory, photogrammetric: Block) 
 
 
 def test_run_folder_gives_what_was_adjusted(run: Path, vision: Block) -> None:
-    again, residuals_px = of_result(read_result(run))
+    again, residuals_px = adjusted_block(read_result(run))
     assert again.images.names == vision.images.names
     assert set(roles_of(again)) == {"control"}
     np.testing.assert_allclose(again.observations.values, vision.observations.values, atol=1e-9)
@@ -64,7 +65,7 @@ def test_run_folder_gives_what_was_adjusted(run: Path, vision: Block) -> None:
 
 @pytest.mark.parametrize("form", ["colmap", "colmap-binary", "metashape"])
 def test_residuals_survive_the_export(run: Path, tmp_path: Path, form: str) -> None:
-    given = of_result(read_result(run))[0]
+    given = adjusted_block(read_result(run))[0]
     assert all(made.largest_px == 0 for made in named(form).write(tmp_path, given, Choices()))
     if form == "metashape":
         again = read_metashape(tmp_path / "cameras.xml").block
@@ -78,7 +79,7 @@ def test_residuals_survive_the_export(run: Path, tmp_path: Path, form: str) -> N
 
 
 def test_observations_in_mm_become_pixels(run_in_mm: Path, photogrammetric: Block) -> None:
-    again, _ = of_result(read_result(run_in_mm))
+    again, _ = adjusted_block(read_result(run_in_mm))
     wanted = photogrammetric.observations.values
     np.testing.assert_allclose(again.observations.values, wanted, atol=1e-9)
 
@@ -136,13 +137,13 @@ def test_wrong_choices(run: Path, tmp_path: Path, extra: list[str], message: str
 
 def test_no_run(tmp_path: Path) -> None:
     with pytest.raises(InputNotFoundError):
-        of_result(read_result(tmp_path / "none"))[0]
+        adjusted_block(read_result(tmp_path / "none"))[0]
     (tmp_path / "result.json").write_text('{"schema": "other/1"}')
     with pytest.raises(InputMalformedError, match="was expected"):
-        of_result(read_result(tmp_path))[0]
+        adjusted_block(read_result(tmp_path))[0]
     (tmp_path / "result.json").write_text('{"schema": "photocal.adjustment/1", "x": NaN}')
     with pytest.raises(InputMalformedError, match="NaN where a number"):
-        of_result(read_result(tmp_path))[0]
+        adjusted_block(read_result(tmp_path))[0]
     (tmp_path / "result.json").write_text("[" * 100_000)
     with pytest.raises(InputMalformedError, match="recursion"):
-        of_result(read_result(tmp_path))[0]
+        adjusted_block(read_result(tmp_path))[0]

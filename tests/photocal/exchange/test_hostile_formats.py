@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from photocal.base.errors import PhotocalError
 from photocal.block.model import Block
 from photocal.exchange.dbat import read_dbat_cameras
-from photocal.exchange.exporting import Choices, of_result
+from photocal.exchange.exporting import Choices
 from photocal.exchange.formats import FORMATS
 from photocal.exchange.ground_points import (
     read_gcp_list,
@@ -35,6 +35,7 @@ from photocal.exchange.orientation_tables import read_matrices, write_matrices
 from photocal.exchange.parts import Mark, PointEntry
 from photocal.exchange.reference_table import read_references, write_references
 from photocal.geometry.camera import Model, camera
+from photocal.results.adjusted_block import adjusted_block
 from photocal.results.folder import read_result
 from tests.photocal.exchange.conftest import reconstruction_of, shown
 
@@ -302,5 +303,5 @@ def test_run_folders(tmp_path: Path, name: str) -> None:
     os.truncate(path, TEN_GB)
     began = time.monotonic()
     with pytest.raises(PhotocalError):
-        of_result(read_result(tmp_path))[0]
+        adjusted_block(read_result(tmp_path))[0]
     assert time.monotonic() - began < 20

@@ -12,13 +12,13 @@ from photocal.base.arrays import Integers
 from photocal.block.folder import read_block
 from photocal.block.model import Block, Images, ObjectPoints, Observations
 from photocal.block.writer import write_block
-from photocal.exchange.exporting import of_result
 from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 from photocal.geometry.oriented_images import OrientedImages, oriented_images
 from photocal.georeferencing.direct import direct_orientation, intersect_points
 from photocal.products.kernels import Poses, look_up
 from photocal.products.oriented import lens_tables
 from photocal.results.adjusted import adjust_network
+from photocal.results.adjusted_block import adjusted_block
 from photocal.results.folder import read_result, write_result
 from tests.photocal import flights
 
@@ -112,7 +112,7 @@ def test_exported_observations_are_those_of_one_pose(truth: flights.Flight, view
     result = adjust_network(block_of(truth))
     assert result.images.movement is not None
     assert result.images.movement == pytest.approx(views.movements, abs=1e-6)
-    given = of_result(result)[0]
+    given = adjusted_block(result)[0]
     assert not given.cameras[0].rolling
     still = replace(views, movement=None)
     names = [int(given.points.names[j]) for j in given.observations.point]

@@ -14,8 +14,8 @@ import pytest
 from numpy.typing import NDArray
 
 from photocal.base.errors import ConfigurationError
+from photocal.base.files import digest
 from photocal.block.folder import read_block, read_points
-from photocal.block.model import digest
 from photocal.measurement.image_file import list_images
 from photocal.measurement.orientation import of_exposures
 from photocal.measurement.patch_matching import ImageSource

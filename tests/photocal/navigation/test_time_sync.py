@@ -114,7 +114,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
             own += autopilot.trigger(shot_s)
         said = dialogue.step(batch, step_s, int(host_ns(np.array([step_s]))[0]))
         there, back = 0.010 + rng.exponential(0.001, 2)
-        answer = b"".join(autopilot.receive(frame, step_s + there) for frame in said.frames)
+        answer = b"".join(autopilot.receive(frame, step_s + there) for frame in said[0])
         heard_s = step_s + there + back if answer else step_s + 0.3
         batch = framer.feed(own + answer)
         came += [(heard_s, bytes(frame.data)) for frame in batch]

@@ -14,8 +14,8 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block
 from photocal.block.network import assemble
-from photocal.exchange.exporting import of_result
 from photocal.results.adjusted import result_of
+from photocal.results.adjusted_block import adjusted_block
 from photocal.results.folder import read_result, write_result
 
 
@@ -136,6 +136,6 @@ def adjusted(
         solution = adjust(assembly.network)
         folder = tmp_path_factory.mktemp("run")
         write_result(folder, result_of(block, assembly, solution))
-        return of_result(read_result(folder))[0], solution
+        return adjusted_block(read_result(folder))[0], solution
 
     return run

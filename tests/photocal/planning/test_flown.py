@@ -18,9 +18,9 @@ from acquire.simulate.world.exposures import antenna_velocity, omega_phi_kappa
 from acquire.simulate.world.observations import observe, seen
 from acquire.simulate.world.world import World, make_world
 from photocal.base.geopackage import LOCAL
-from photocal.block.motion import strips
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
+from photocal.geometry.strips import strips
 from photocal.planning.flown import (
     FlownBlock,
     cells_seen,

@@ -18,9 +18,10 @@ from photocal.base.errors import PhotocalError
 from photocal.base.geodesy import GeodeticPlace
 from photocal.block.model import Block
 from photocal.block.writer import write_block
-from photocal.exchange.exporting import Choices, of_result
+from photocal.exchange.exporting import Choices
 from photocal.exchange.formats import FORMATS, read_foreign_block
 from photocal.navigation.image_checks import oriented_images
+from photocal.results.adjusted_block import adjusted_block
 from photocal.results.folder import read_result, write_result
 from photocal.results.result import Result
 
@@ -137,7 +138,7 @@ def test_a_run_folder_keeps_them(result: Result, tmp_path: Path) -> None:
 @pytest.mark.parametrize("form", [form for form in FORMATS if form.writes], ids=lambda form: form.name)
 def test_exports_keep_them(form: object, result: Result, tmp_path: Path) -> None:
     assert isinstance(form, type(FORMATS[0]))
-    given = of_result(result)[0]
+    given = adjusted_block(result)[0]
     if form.name == "odm":
         given = replace(given, frame="EPSG:32722", height="ellipsoidal")
     if form.name in NUMBERED:

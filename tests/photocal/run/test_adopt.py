@@ -16,13 +16,14 @@ from photocal.base.errors import InputMalformedError
 from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block
 from photocal.block.writer import write_block
-from photocal.exchange.exporting import Choices, of_result
+from photocal.exchange.exporting import Choices
 from photocal.exchange.formats import named, read_foreign_project
 from photocal.exchange.pinhole import to_pinhole, to_vision
 from photocal.geometry.camera import PARAMETERS, Model, camera
 from photocal.geometry.frames import ReferenceFrame
 from photocal.geometry.oriented_images import given_places
 from photocal.results.adjusted import adjust_block
+from photocal.results.adjusted_block import adjusted_block
 from photocal.results.folder import read_result
 from photocal.run import adopt as module
 from photocal.run.adoption_figures import adoption_text, rounded
@@ -64,7 +65,7 @@ def made_of(model: Model, tmp_path_factory: pytest.TempPathFactory) -> Block:
     write_block(folder / "block", block)
     adjust_block(folder / "block", folder / "run")
     # Control keeps its survey: what programs take over is what was measured.
-    run = of_result(read_result(folder / "run"))[0]
+    run = adjusted_block(read_result(folder / "run"))[0]
     control = np.array([role == "control" for role in roles_of(run)])
     order = {name: k for k, name in enumerate(made.points.names)}
     rows = [order[name] for name in run.points.names]

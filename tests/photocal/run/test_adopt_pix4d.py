@@ -20,12 +20,12 @@ from pyproj import CRS
 from photocal.base.errors import PhotocalError
 from photocal.block.model import Block
 from photocal.block.writer import write_block
-from photocal.exchange.exporting import of_result
 from photocal.exchange.formats import read_foreign_project
 from photocal.geometry.camera import PARAMETERS, camera
 from photocal.geometry.frames import ReferenceFrame
 from photocal.geometry.oriented_images import given_places, given_poses
 from photocal.results.adjusted import adjust_block
+from photocal.results.adjusted_block import adjusted_block
 from photocal.results.folder import read_result
 from photocal.results.result import Result
 from photocal.run import adopt as module
@@ -76,7 +76,7 @@ def made_of(folder: Path, cameras: int) -> Own:
     write_block(folder / "block", block)
     adjust_block(folder / "block", folder / "run")
     result = read_result(folder / "run")
-    run = of_result(result)[0]
+    run = adjusted_block(result)[0]
     order = {name: k for k, name in enumerate(made.points.names)}
     rows = [order[name] for name in run.points.names]
     surveyed = np.array([role != "tie" for role in roles_of(run)])

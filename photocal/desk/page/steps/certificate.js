@@ -110,9 +110,11 @@ export async function mount(element, context) {
 
   // Written, then made by a run: only what has changed is made again.
   async function make() {
-    if (!(await act(context.post("/api/certificate/set", values())))) return;
-    if (!(await act(context.post("/api/run/start", {})))) return;
-    await follow();
+    // What is about to be issued anew is not signed.
+    for (const one of acts.querySelectorAll("button")) one.disabled = true;
+    const begun = (await act(context.post("/api/certificate/set", values()))) && (await act(context.post("/api/run/start", {})));
+    if (begun) await follow();
+    else drawActs();
   }
 
   async function follow() {

@@ -33,6 +33,34 @@ output = "work"
 [measurements]
 block = "block"   # simulated
 """
+# The same pictures with a table of control, none of it marked.
+MARKING = """
+[project]
+name = "site"
+crs = "local"
+height = "local"
+output = "work"
+[images]
+folder = "images"
+[[camera]]
+id = "cam"
+model = "brown-ideal"
+unit = "px"
+size_px = [480, 360]
+parameters = { c = 450.0, K1 = -8e-8 }
+[control]
+points = "control.csv"
+marks = "marks.csv"
+"""
+
+
+def with_control(folder: Path) -> dict[str, tuple[float, float]]:
+    """Give a finished project a table of control; returns where its points lie."""
+    places = {name: plate_place(plate(1), place) for name, place in PLATES.items()}
+    rows = [f"{name},{x:.4f},{y:.4f},0.0,0.01,0.01,0.01,control" for name, (x, y) in places.items()]
+    (folder / "control.csv").write_text("\n".join(["point,X,Y,Z,sX,sY,sZ,role", *rows]) + "\n")
+    (folder / "project.toml").write_text(MARKING, encoding="utf-8")
+    return places
 
 
 def small(folder: Path) -> Path:

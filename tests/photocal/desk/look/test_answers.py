@@ -15,9 +15,8 @@ from PIL import Image
 from photocal.measurement.marks import read_marks
 from photocal.project import read_project
 from tests.photocal.desk.client import Client, opened
-from tests.photocal.desk.look.surveys import GROSS_IMAGE, GROSS_POINT, PLATES, small
-from tests.photocal.measurement.marking.conftest import plate
-from tests.photocal.measurement.site import flight, plate_place
+from tests.photocal.desk.look.surveys import GROSS_IMAGE, GROSS_POINT, small, with_control
+from tests.photocal.measurement.site import flight
 
 MARK = {"image": GROSS_IMAGE, "point": GROSS_POINT}
 
@@ -142,31 +141,8 @@ def test_what_takes_no_part_is_refused_in_words(client: Client, name: str) -> No
         assert "is not used" in answer.json["error"]
 
 
-MARKING = """
-[project]
-name = "site"
-crs = "local"
-height = "local"
-output = "work"
-[images]
-folder = "images"
-[[camera]]
-id = "cam"
-model = "brown-ideal"
-unit = "px"
-size_px = [480, 360]
-parameters = { c = 450.0, K1 = -8e-8 }
-[control]
-points = "control.csv"
-marks = "marks.csv"
-"""
-
-
 def test_points_are_predicted_and_marked_in_the_same_pictures(finished: Path, tmp_path: Path) -> None:
-    places = {name: plate_place(plate(1), place) for name, place in PLATES.items()}
-    rows = [f"{name},{x:.4f},{y:.4f},0.0,0.01,0.01,0.01,control" for name, (x, y) in places.items()]
-    (finished / "control.csv").write_text("\n".join(["point,X,Y,Z,sX,sY,sZ,role", *rows]) + "\n")
-    (finished / "project.toml").write_text(MARKING, encoding="utf-8")
+    places = with_control(finished)
     site = flight()
     with opened(finished, tmp_path / "cache") as client:
         assert client.get("/api/look").json["marking"] is True

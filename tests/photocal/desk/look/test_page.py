@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 import rasterio  # type: ignore[import-untyped]
 
+from photocal.measurement.marks import read_marks
 from tests.photocal.desk.client import opened
-from tests.photocal.desk.look.surveys import GROSS_IMAGE, GROSS_POINT
+from tests.photocal.desk.look.surveys import GROSS_IMAGE, GROSS_POINT, with_control
 from tests.photocal.desk.watch import serious, watched
 
 if TYPE_CHECKING:
@@ -149,6 +150,25 @@ def test_an_orthophoto_is_switched_by_a_key(browser: Browser, finished: Path, tm
         assert tile.value.status == 200
         expect(switch).to_be_checked()
         assert serious(page) == []
+
+
+def test_a_point_of_look_is_marked_at_its_place(browser: Browser, finished: Path, tmp_path: Path) -> None:
+    """From the picture of a point to the place Mark, and back to the same point."""
+    with_control(finished)
+    with looking(browser, finished, tmp_path / "cache", place="/point/P3") as page:
+        expect(page.locator(".crop").first).to_be_visible()
+        image = page.locator("#picture-name").input_value()
+        page.locator(".picture .bar").get_by_role("button", name="Mark").click()
+        expect(page.locator(".marking[data-ready]")).to_be_visible()
+        expect(page.locator("#point")).to_have_text("P3")
+        expect(page.locator(".shot[data-active=true] .caption .name")).to_have_text(image)
+        expect(page.locator(".shot[data-active=true] .frame[data-loaded=true]")).to_be_visible()
+        page.keyboard.press("m")
+        expect(page.locator(".shot[data-active=true] .caption button")).to_be_visible()
+        (mark,) = read_marks(finished / "marks.csv")
+        assert (mark.image, mark.point) == (image, "P3")
+        page.go_back()
+        expect(page.locator(".strip .head").first).to_contain_text("P3")
 
 
 def test_it_speaks_portuguese(browser: Browser, made: Path, tmp_path: Path) -> None:
