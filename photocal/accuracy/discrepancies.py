@@ -13,7 +13,7 @@ import numpy as np
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import InputMalformedError
 from photocal.base.policy import policy
-from photocal.block.table import TextTable, read_columns
+from photocal.base.text_tables import TextTable, read_columns
 from photocal.findings.finding import Finding, untested
 
 SIGN = "product minus reference"

@@ -18,7 +18,7 @@ from photocal.accuracy.standard import scale_text, size_text
 from photocal.accuracy.statistics import LengthStatistics
 from photocal.base.arrays import as_plain, picked
 from photocal.base.errors import InputMalformedError
-from photocal.block.table import TextTable, read_table, refuse
+from photocal.base.text_tables import TextTable, read_table, refuse
 from photocal.findings.document import Paragraph, Piece, Remarks, Section, TablePart, table, text
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text

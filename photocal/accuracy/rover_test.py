@@ -16,7 +16,7 @@ from scipy import stats
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError
-from photocal.block.table import read_table
+from photocal.base.text_tables import read_table
 
 SCHEMA = "photocal.rover-test/1"
 SERIES, SETS, POINTS = 3, 5, 2

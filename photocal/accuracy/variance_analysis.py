@@ -12,7 +12,7 @@ from scipy import special
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.policy import policy
-from photocal.block.table import read_wider_table
+from photocal.base.text_tables import read_wider_table
 from photocal.findings.document import Section, TablePart, table, text
 
 SCHEMA = "photocal.variance-analysis/1"

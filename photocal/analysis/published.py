@@ -23,7 +23,7 @@ from photocal.analysis.estimates import (
 from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.policy import policy
-from photocal.block.table import read_columns, read_table, read_wider_table
+from photocal.base.text_tables import read_columns, read_table, read_wider_table
 from photocal.findings.finding import Figure, Finding
 from photocal.geometry.camera import PARAMETERS
 

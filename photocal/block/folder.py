@@ -9,6 +9,7 @@ from photocal.adjustment.network import ANGLES, NO_RELATIONS, RELATIONS, Relatio
 from photocal.base.arrays import Floats
 from photocal.base.checked_toml import read_toml
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError, InputNotFoundError
+from photocal.base.text_tables import TextTable, known_rows, read_table, refuse
 from photocal.block.camera_setup import make_camera
 from photocal.block.model import (
     ROLES,
@@ -24,7 +25,6 @@ from photocal.block.motion import MOTION_COLUMNS, read_motion
 from photocal.block.mounting import make_mounting, read_attitudes, read_positions
 from photocal.block.rig import make_heads
 from photocal.block.setup import ObservationKeys, Setup
-from photocal.block.table import TextTable, known_rows, read_table, refuse
 from photocal.geometry.camera import Camera
 from photocal.geometry.interior import Transformation, interior_orientation
 

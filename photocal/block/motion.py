@@ -8,8 +8,8 @@ from photocal.adjustment.mounting import Positions, body_to_camera
 from photocal.adjustment.network import Network
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import ConfigurationError
+from photocal.base.text_tables import TextTable
 from photocal.block.model import Block
-from photocal.block.table import TextTable
 from photocal.geometry.camera import SHAKE
 
 VELOCITY, RATE = ("vX", "vY", "vZ"), ("wx", "wy", "wz")

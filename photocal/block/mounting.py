@@ -10,9 +10,9 @@ from photocal.adjustment.network import covariance_matrices
 from photocal.base.arrays import Floats
 from photocal.base.codec import as_degrees
 from photocal.base.errors import ConfigurationError, OutputError
+from photocal.base.text_tables import TextTable, known_rows, named_columns, read_table, refuse
 from photocal.block.camera_setup import sigma_keys, sigmas
 from photocal.block.setup import BodyAxis, MountingKeys
-from photocal.block.table import TextTable, known_rows, named_columns, read_table, refuse
 from photocal.geometry.rotation import TO_NED, object_to_body
 
 POSITION_COLUMNS = ("image", "X", "Y", "Z", "sX", "sY", "sZ")

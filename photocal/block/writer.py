@@ -10,6 +10,7 @@ from photocal.adjustment.network import ANGLES, RELATIONS, Relations
 from photocal.base.codec import as_degrees, toml_text
 from photocal.base.errors import OutputError
 from photocal.base.files import output_folder, refusals
+from photocal.base.text_tables import LONG_TABLE, name_cells, named_columns, write_table
 from photocal.block.camera_setup import camera_keys
 from photocal.block.folder import (
     CHECK_DISTANCES,
@@ -26,7 +27,6 @@ from photocal.block.motion import RATE, SIGMAS_OF_MOTION, VELOCITY
 from photocal.block.mounting import attitude_columns, mounting_keys, position_columns
 from photocal.block.rig import head_keys
 from photocal.block.setup import BlockKeys, ObservationKeys, Setup
-from photocal.block.table import LONG_TABLE, name_cells, named_columns, write_table
 from photocal.geometry.camera import SHAKE
 
 _TABLES = (

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from photocal.base.errors import InputMalformedError
+from photocal.base.text_tables import MARKS
 from photocal.block.model import Observations
-from photocal.block.table import MARKS
 from photocal.exchange.parts import pixels
 from photocal.exchange.source import Line, decimal_comma, number, read_text, require_readable
 from photocal.geometry.camera import Camera

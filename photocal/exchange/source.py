@@ -13,9 +13,9 @@ from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from photocal.base.errors import InputMalformedError, InputNotFoundError
+from photocal.base.text_tables import MARKS, require_file
 from photocal.block.model import InputFile
 from photocal.block.model import fingerprint as plain_fingerprint
-from photocal.block.table import MARKS, require_file
 
 # Larger text than any block in use; above it a file is taken for something else.
 MAX_BYTES = 2 << 30

@@ -13,8 +13,8 @@ from photocal.adjustment.network import covariance_matrices
 from photocal.base.arrays import Flags
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.geodesy import enu_axes
+from photocal.base.text_tables import read_table, refuse
 from photocal.block.model import Block, ObjectPoints, Role
-from photocal.block.table import read_table, refuse
 from photocal.exchange.ground_points import read_gcp_list, read_gcp_rows
 from photocal.exchange.metashape import markers
 from photocal.exchange.parts import Mark, PointEntry, object_points, require_unique

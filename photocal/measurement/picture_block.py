@@ -12,12 +12,12 @@ from photocal.base.arrays import Flags, Integers
 from photocal.base.errors import ConfigurationError
 from photocal.base.policy import policy
 from photocal.base.progress import Progress
+from photocal.base.text_tables import known_rows, read_table
 from photocal.base.workers import one_crew
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, ROLES, Block, Images, ObjectPoints
 from photocal.block.network import OTHER_SURFACE_M, block_frame
 from photocal.block.rig import make_heads
-from photocal.block.table import known_rows, read_table
 from photocal.findings.finding import Finding
 from photocal.findings.texts import as_record
 from photocal.geometry.camera import Camera, among

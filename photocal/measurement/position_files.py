@@ -14,8 +14,8 @@ from drivers.mrk import COLUMNS, parse_event
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError, PhotocalError
 from photocal.base.geodesy import enu_axes, enu_offsets, geocentric, geodetic
+from photocal.base.text_tables import read_under
 from photocal.base.time_scales import WEEK_S
-from photocal.block.table import read_under
 from photocal.exchange.ground_points import read_geo
 from photocal.exchange.reference_table import read_references
 from photocal.exchange.source import read_text

@@ -11,7 +11,7 @@ from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import PhotocalError
 from photocal.base.policy import policy
 from photocal.base.progress import Progress
-from photocal.block.table import read_wider_table
+from photocal.base.text_tables import read_wider_table
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.localisation import similarity
 from photocal.geometry.oriented_images import OrientedImages

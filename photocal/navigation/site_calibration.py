@@ -10,7 +10,7 @@ import numpy as np
 from photocal.base.arrays import Floats, as_plain
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import write_json, write_rows
-from photocal.block.table import read_wider_table
+from photocal.base.text_tables import read_wider_table
 from photocal.findings.document import KeyValues, Paragraph, Piece, Remarks, Section, markdown, table, text
 from photocal.geometry.frames import GroundScale, ground_scale
 from photocal.geometry.localisation import CommonPoints, FittedPart, Localisation, localise

@@ -19,8 +19,8 @@ from photocal.base.checked_toml import Table, read_toml
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.files import output_folder, output_picture, write_json, write_rows
 from photocal.base.policy import policy
+from photocal.base.text_tables import read_table, refuse
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
-from photocal.block.table import read_table, refuse
 from photocal.findings.document import Paragraph, Section, table, text
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import angles_from_matrix

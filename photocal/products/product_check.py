@@ -12,7 +12,7 @@ from photocal.accuracy.ground_points import GroundPoints
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.base.policy import policy
-from photocal.block.table import read_table
+from photocal.base.text_tables import read_table
 from photocal.products.options import ProductOptions
 from photocal.products.raster import RasterFile, describe, opened, terrain_source
 

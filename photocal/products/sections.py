@@ -10,7 +10,7 @@ from photocal.adjustment.solution import global_test
 from photocal.base.arrays import Floats, as_plain
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError, PhotocalError
 from photocal.base.files import output_picture
-from photocal.block.table import read_table, refuse
+from photocal.base.text_tables import read_table, refuse
 from photocal.products.surfaces import Circle, Cylinder, fit_circle, fit_cylinder
 
 Vertical = Literal["X", "Y", "Z"]

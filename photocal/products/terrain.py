@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError, IllPosedError
-from photocal.block.table import read_table
+from photocal.base.text_tables import read_table
 from photocal.geometry.frames import LocalFrame
 
 # a, b, c, d, e, f: X = a column + b row + c, Y = d column + e row + f, from the corner of the first cell.

@@ -21,10 +21,10 @@ from photocal.base.checked_toml import checked_tables
 from photocal.base.codec import object_of, parsed_json
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.base.files import digest, write_json
+from photocal.base.text_tables import LONG_TABLE, known_rows, read_table, write_table
 from photocal.block.camera_setup import CameraKeys, camera_keys, camera_of
 from photocal.block.folder import IMAGE_SIGMAS
 from photocal.block.model import InputFile, fingerprint
-from photocal.block.table import LONG_TABLE, known_rows, read_table, write_table
 from photocal.geometry.camera import MOTION, PARAMETERS, SHAKE, Camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.results.result import (

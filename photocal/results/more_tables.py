@@ -23,9 +23,9 @@ from photocal.adjustment.solution import Solution
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.base.policy import policy
+from photocal.base.text_tables import write_table
 from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock, plane_per_unit
-from photocal.block.table import write_table
 from photocal.geometry.camera import OWN
 from photocal.results.result import AdjustedPoints
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from photocal.base.arrays import Integers
 from photocal.base.errors import InputNotFoundError, PhotocalError
+from photocal.base.text_tables import TextTable, read_under
 from photocal.block.model import ROLES, Block, ObjectPoints
-from photocal.block.table import TextTable, read_under
 from photocal.exchange.parts import Mark, PointEntry, object_points, require_unique
 from photocal.exchange.source import number, read_lines
 from photocal.geometry.camera import Camera

@@ -18,8 +18,8 @@ from acquire.recording.configuration import read_configuration
 from photocal.accuracy.standard import load_standard
 from photocal.base.checked_toml import read_tables
 from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.base.text_tables import read_columns
 from photocal.block.folder import read_block
-from photocal.block.table import read_columns
 from photocal.measurement.image_file import list_images
 from photocal.navigation.image_metadata import read_images
 from photocal.project import read_project

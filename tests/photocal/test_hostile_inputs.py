@@ -16,8 +16,8 @@ from photocal.accuracy.discrepancies import read_discrepancies
 from photocal.accuracy.standard import load_standard
 from photocal.base.checked_toml import read_tables
 from photocal.base.errors import PhotocalError
+from photocal.base.text_tables import read_columns
 from photocal.block.folder import read_block
-from photocal.block.table import read_columns
 from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.opencv import read_opencv

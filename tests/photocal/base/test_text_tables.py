@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from photocal.base.errors import InputMalformedError
-from photocal.block.table import read_table
+from photocal.base.text_tables import read_table
 
 ROWS = (("point", "X", "Y"), ("P1", "674123.45", "7458000.5"), ("Água", "-1.5", "2"))
 
