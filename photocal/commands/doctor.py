@@ -93,7 +93,7 @@ def _python(say: "Catalogue") -> Found:
     version = sys.version_info[:2]
     text = ".".join(map(str, sys.version_info[:3]))
     if version < OLDEST_PYTHON:
-        return "bad", say("doctor.python-old", version=text), say("doctor.python-install")
+        return "bad", say("doctor.python_old", version=text), say("doctor.python_install")
     return "good", text, ""
 
 
@@ -112,7 +112,7 @@ def _packages(say: "Catalogue") -> Found:
         except importlib.metadata.PackageNotFoundError:
             missing.append(name)
     if missing:
-        return "bad", say("doctor.packages-missing", names=", ".join(missing)), say("doctor.install")
+        return "bad", say("doctor.packages_missing", names=", ".join(missing)), say("doctor.install")
     return "good", say("doctor.packages", n=len(names), version=__version__), ""
 
 
@@ -121,22 +121,22 @@ def _kernels(say: "Catalogue") -> Found:
     from photocal.base.operating_system import cache_folder
 
     if not any(parent in (PACKAGE, cache_folder()) for parent in FOLDER.parents):
-        remedy = say("doctor.kernels-writable", folder=cache_folder())
-        return "poor", say("doctor.kernels-lost", folder=FOLDER), remedy
+        remedy = say("doctor.kernels_writable", folder=cache_folder())
+        return "poor", say("doctor.kernels_lost", folder=FOLDER), remedy
     if not any(FOLDER.rglob("*.nbi")):
-        return "poor", say("doctor.kernels-none"), say("doctor.kernels-compile")
+        return "poor", say("doctor.kernels_none"), say("doctor.kernels_compile")
     return "good", say("doctor.kernels", folder=FOLDER), ""
 
 
 def _engine(say: "Catalogue") -> Found:
-    remedy = say("doctor.engine-install")
+    remedy = say("doctor.engine_install")
     for name in ("rnx2rtkp", "convbin"):
         if shutil.which(name) is None:
-            return "poor", say("doctor.engine-missing", name=name), remedy
+            return "poor", say("doctor.engine_missing", name=name), remedy
     path = str(shutil.which("rnx2rtkp"))
     done = subprocess.run([path, "-?"], capture_output=True, text=True, timeout=20, check=False)  # noqa: S603
     if "rnx2rtkp" not in done.stdout + done.stderr:
-        return "bad", say("doctor.engine-other", path=path), remedy
+        return "bad", say("doctor.engine_other", path=path), remedy
     return "good", path, ""
 
 
@@ -146,30 +146,30 @@ def _browser(say: "Catalogue") -> Found:
     try:
         return "good", str(getattr(webbrowser.get(), "name", say("doctor.browser"))), ""
     except webbrowser.Error:
-        return "poor", say("doctor.browser-none"), say("doctor.browser-install")
+        return "poor", say("doctor.browser_none"), say("doctor.browser_install")
 
 
 def _serial(say: "Catalogue", devices: Path) -> Found:
     ports = [port for pattern in _PORTS for port in sorted(devices.glob(pattern))]
     closed = [port.name for port in ports if not os.access(port, os.R_OK | os.W_OK)]
     if closed:
-        return "bad", say("doctor.serial-closed", names=", ".join(closed)), say("doctor.serial-open")
-    return "good", say("doctor.serial", n=len(ports)) if ports else say("doctor.serial-none"), ""
+        return "bad", say("doctor.serial_closed", names=", ".join(closed)), say("doctor.serial_open")
+    return "good", say("doctor.serial", n=len(ports)) if ports else say("doctor.serial_none"), ""
 
 
 def _clock(say: "Catalogue", now: dt.datetime) -> Found:
-    remedy = say("doctor.clock-set")
+    remedy = say("doctor.clock_set")
     if now.date() < EARLIEST:
-        return "bad", say("doctor.clock-wrong", date=f"{now:%Y-%m-%d}"), remedy
+        return "bad", say("doctor.clock_wrong", date=f"{now:%Y-%m-%d}"), remedy
     control = shutil.which("timedatectl")
     if control is not None:
         command = [control, "show", "-p", "NTPSynchronized", "--value"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)  # noqa: S603
         if done.stdout.strip() == "no":
-            return "poor", say("doctor.clock-alone"), remedy
+            return "poor", say("doctor.clock_alone"), remedy
         if done.stdout.strip() == "yes":
             return "good", say("doctor.clock"), ""
-    return "good", say("doctor.clock-unknown", time=f"{now:%Y-%m-%d %H:%M} UTC"), ""
+    return "good", say("doctor.clock_unknown", time=f"{now:%Y-%m-%d %H:%M} UTC"), ""
 
 
 def _disk(say: "Catalogue", folder: Path) -> Found:
@@ -182,9 +182,9 @@ def _disk(say: "Catalogue", folder: Path) -> Found:
     rate = _PROBE_BYTES / (time.monotonic() - began)
     text = say("doctor.disk", free=f"{free / 1e9:.0f}", rate=f"{rate / 1e6:.0f}")
     if free < LEAST_DISK:
-        return "bad", text, say("doctor.disk-room", least=LEAST_DISK >> 30)
+        return "bad", text, say("doctor.disk_room", least=LEAST_DISK >> 30)
     if rate < LEAST_DISK_RATE:
-        return "poor", text, say("doctor.disk-slow")
+        return "poor", text, say("doctor.disk_slow")
     return "good", text, ""
 
 
@@ -195,9 +195,9 @@ def _memory(say: "Catalogue") -> Found:
         total = sysconf("SC_PAGE_SIZE") * sysconf("SC_PHYS_PAGES")
         text = f"{say.fixed(total / 2**30, 1)} GiB"
         if total < LEAST_MEMORY:
-            return "poor", text, say("doctor.memory-little")
+            return "poor", text, say("doctor.memory_little")
         return "good", text, ""
-    return "good", say("doctor.memory-unknown"), ""
+    return "good", say("doctor.memory_unknown"), ""
 
 
 def _grids(say: "Catalogue", crs: str | None) -> Found:
@@ -207,16 +207,16 @@ def _grids(say: "Catalogue", crs: str | None) -> Found:
         return "good", say("doctor.grids", n=len(grids_here())), ""
     missing = missing_grids(crs)
     if missing:
-        text = say("doctor.grids-missing", names=", ".join(missing), crs=crs)
-        return "bad", text, say("doctor.grids-fetch", crs=crs)
-    return "good", say("doctor.grids-all", crs=crs), ""
+        text = say("doctor.grids_missing", names=", ".join(missing), crs=crs)
+        return "bad", text, say("doctor.grids_fetch", crs=crs)
+    return "good", say("doctor.grids_all", crs=crs), ""
 
 
 def _leap_seconds(say: "Catalogue", today: dt.date) -> Found:
     from photocal.base.time_scales import installed_leap_seconds
 
     expires = installed_leap_seconds().expires
-    text, remedy = say("doctor.leap", date=expires), say("doctor.leap-renew")
+    text, remedy = say("doctor.leap", date=expires), say("doctor.leap_renew")
     if expires < today:
         return "bad", text, remedy
     # A table that expires sooner is to be renewed before the next flights.
@@ -232,7 +232,7 @@ def _key(say: "Catalogue") -> Found:
 
     key = own_key()
     if key is None:
-        return "poor", say("doctor.key-none"), say("doctor.key-new")
+        return "poor", say("doctor.key_none"), say("doctor.key_new")
     private_folder(settings_folder())
     return "good", key.fingerprint, ""
 

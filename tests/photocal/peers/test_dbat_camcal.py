@@ -83,9 +83,9 @@ def test_orientations_of_the_script(folder: Path, dbat_report: Any, adjusted: An
     sigma0 = math.sqrt(solution.variance_factor)
     short = report.tolerance * report.last_error / sigma0
     for k, name in enumerate(block.images.names):
-        pose = found.poses[k].copy()
+        pose = found.images.values[k].copy()
         pose[:3] = np.degrees(pose[:3])
-        sigma = found.pose_sigma[k] * sigma0
+        sigma = found.images.sigma[k] * sigma0
         sigma[:3] = np.degrees(sigma[:3])
         for value, sd, key in zip(pose, sigma, ("Omega", "Phi", "Kappa", "Xc", "Yc", "Zc"), strict=True):
             printed, deviation = report.photos[name][key]

@@ -45,23 +45,23 @@ def same_as_printed(
     assert abs(sigma0 - report.sigma0.value) <= 2 * report.sigma0.unit
     assert set(report.photos) == set(block.images.names)
     for k, name in enumerate(block.images.names):
-        pose = found.poses[k] - np.concatenate([np.zeros(3), np.asarray(origin)])
+        pose = found.images.values[k] - np.concatenate([np.zeros(3), np.asarray(origin)])
         pose[:3] = np.degrees(pose[:3])
         # DBAT's standard deviations are a posteriori.
-        deviation = found.pose_sigma[k] * sigma0
+        deviation = found.images.sigma[k] * sigma0
         deviation[:3] = np.degrees(deviation[:3])
         for value, sd, key in zip(pose, deviation, KEYS, strict=True):
             printed, printed_sd = report.photos[name][key]
             assert abs(value - printed.value) <= 2 * printed.unit + short * sd, (name, key)
             assert abs(sd - printed_sd.value) <= 2 * printed_sd.third_digit, (name, key)
-    position = {name: k for k, name in enumerate(found.point_names)}
-    count = np.bincount(found.point)
+    position = {name: k for k, name in enumerate(found.points.names)}
+    count = np.bincount(found.observations.point)
     assert len(report.control) == block.points.of_role("control").sum()
     assert len(report.checks) == block.points.of_role("check").sum()
     for name, printed_point in (report.control | report.checks).items():
         k = position[label(name)]
-        xyz = found.xyz[k] - np.asarray(origin)
-        sigma = found.xyz_sigma[k] * sigma0
+        xyz = found.points.values[k] - np.asarray(origin)
+        sigma = found.points.sigma[k] * sigma0
         assert count[k] == printed_point[6].value
         for value, cell in zip(xyz, printed_point[:3], strict=True):
             assert abs(value - cell.value) <= 2 * cell.unit, name
@@ -102,7 +102,7 @@ def test_the_minimum_does_not_depend_on_the_start(folder: Path, adjusted: Any) -
         values = block.images.values.copy()
         values[:, 3:] += rng.normal(0, spread, (len(values), 3))
         other, _ = adjusted(replace(block, images=replace(block.images, values=values)))
-        assert np.abs((other.poses - found.poses) / found.pose_sigma).max() < 1e-6
+        assert np.abs((other.images.values - found.images.values) / found.images.sigma).max() < 1e-6
 
 
 def test_photoscan_project(folder: Path, dbat_report: Any, adjusted: Any) -> None:
