@@ -138,7 +138,7 @@ def pytest_xdist_auto_num_workers() -> int:
 # Files whose tests take long together, with their seconds: they have runs of their own, and begin first in a
 # run of all. `make times` measures them anew.
 TIMES = Path(__file__).with_name("times.txt")
-SLOW_S, LONG_S = 12.0, 120.0
+SLOW_S, LONG_S = 12.0, 80.0
 
 
 def times() -> dict[Path, float]:
