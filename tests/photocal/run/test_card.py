@@ -20,6 +20,7 @@ def test_scale_and_readout_are_told_apart(
     """A y scale is no readout; what vibrates within one takes neither c nor the sigmas along."""
     plan = (FLIGHTS / "drone.toml").read_text(encoding="utf-8")
     plan = plan.replace("fx = 942.9\n", f"fx = {fx}\nreadout_s = {readout_s}\n")
+    assert f"readout_s = {readout_s}" in plan
     (tmp_path / "flight.toml").write_text(plan, encoding="utf-8")
     simulate_flight(read_configuration(tmp_path / "flight.toml"), tmp_path / "card", lambda _: None)
     site = tmp_path / "card" / "site"
@@ -29,6 +30,8 @@ def test_scale_and_readout_are_told_apart(
     truth = json.loads((tmp_path / "card" / "truth" / "truth.json").read_text())["camera"]["px"]
     result = json.loads((site / "work" / "calibration" / "result.json").read_text())
     (camera,) = result["cameras"].values()
-    found = camera["parameters"]["c"]
-    assert abs(found["value"] - truth["c"]) < 3 * found["sigma"]
+    for name, true in (("c", truth["c"]), ("B1", truth["B1"]), ("readout", readout_s)):
+        found = camera["parameters"].get(name, {"estimated": False})
+        assert found["estimated"] == (true != 0.0), name
+        assert true == 0.0 or abs(found["value"] - true) < 3 * found["sigma"], name
     assert result["sigma0_squared"] == pytest.approx(1.0, abs=0.1)
