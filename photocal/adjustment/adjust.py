@@ -53,9 +53,15 @@ def with_statistics(problem: Problem, minimum: Minimum, solve_s: float = 0.0) ->
 
 
 def minimum_of(
-    network: Network, report: Callable[[Iteration], None] | None = None, state: State | None = None
+    network: Network,
+    report: Callable[[Iteration], None] | None = None,
+    state: State | None = None,
+    near: float = CONVERGED,
 ) -> tuple[Problem, Minimum]:
-    """Adjust a network without its statistics, as `adjust`."""
+    """Adjust a network without its statistics, as `adjust`.
+
+    near: squared distance to the minimum, in units of the standard deviations, that may be left.
+    """
     start = start_state(network)
     problem = with_datum(prepare(network), start)
     moving = network.exposures.motion_sigma is not None and start.deviations.size > 0
@@ -65,11 +71,11 @@ def minimum_of(
     if state is not None and state.deviations.shape != start.deviations.shape:
         state = replace(state, deviations=start.deviations)
     if state is not None and moving and not len(problem.stiffened):
-        minimum = _by_chords(problem, state, report)
+        minimum = _by_chords(problem, state, report, near)
         if minimum is not None:
             enter(len(network.image_names), len(network.rays.image), len(minimum.iterations))
             return problem, minimum
-    return problem, minimise(problem, state or better or start, report)
+    return problem, minimise(problem, state or better or start, report, near)
 
 
 def _where_rays_come_from(problem: Problem, start: State) -> State | None:
@@ -124,7 +130,9 @@ def _near(network: Network, report: Callable[[Iteration], None] | None) -> State
         return None
 
 
-def _by_chords(problem: Problem, state: State, report: Callable[[Iteration], None] | None) -> Minimum | None:
+def _by_chords(
+    problem: Problem, state: State, report: Callable[[Iteration], None] | None, near: float
+) -> Minimum | None:
     """Find the minimum near a state with one factor for all steps; None where it is not near enough."""
     normal = normal_equations(problem, state)
     step = reduced_step(problem, normal, 0.0)
@@ -132,7 +140,7 @@ def _by_chords(problem: Problem, state: State, report: Callable[[Iteration], Non
         return None
     moved, length = moved_by(problem, state, normal, step)
     try:
-        near = chords(problem, normal, moved, CONVERGED, length)
+        near = chords(problem, normal, moved, near, length)
     except NotConvergedError:
         return None
     if not near.chi_squared < normal.chi_squared:

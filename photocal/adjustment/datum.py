@@ -16,7 +16,13 @@ from scipy.spatial.transform import Rotation
 from photocal.adjustment.envelope import multiply, solve
 from photocal.adjustment.kernels.substitution import back_substitute, reduce_right
 from photocal.adjustment.network import Network
-from photocal.adjustment.normal import Normal, Problem, diagonal_addresses, normal_equations, other_equations
+from photocal.adjustment.normal import (
+    Normal,
+    Problem,
+    diagonal_addresses,
+    normal_equations,
+    placing_equations,
+)
 from photocal.adjustment.state import State
 from photocal.base.arrays import Floats, Integers
 
@@ -199,7 +205,7 @@ def _others_moved(problem: Problem, state: State) -> tuple[float, Floats, Floats
     pull = np.einsum("nab,nb->na", weight, off)
     chi_squared, slope = float(np.sum(off * pull)), np.einsum("nak,na->k", points, pull)
     curvature = np.einsum("nak,nab,nbl->kl", points, weight, points)
-    for rows in other_equations(problem, state).values():
+    for rows in placing_equations(problem, state).values():
         if reduced[rows.column].any():
             by_column = csr_array(
                 (rows.coefficient, rows.column, rows.start), (len(rows.residual), len(reduced))

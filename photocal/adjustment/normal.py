@@ -162,6 +162,13 @@ def other_equations(problem: Problem, state: State) -> dict[str, Equations]:
     return {
         "camera": observations.camera_equations(problem.network, problem.layout, state),
         **observations.deviation_equations(problem.network, problem.layout, state),
+        **placing_equations(problem, state),
+    }
+
+
+def placing_equations(problem: Problem, state: State) -> dict[str, Equations]:
+    """Those of them that change when the whole block is moved, turned or enlarged."""
+    return {
         "exposure": observations.exposure_equations(problem.network, problem.layout, state),
         **observations.relation_equations(problem.network, problem.layout, state),
         **observations.mounting_equations(problem.network, problem.layout, state),

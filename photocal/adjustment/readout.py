@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 from scipy import special
 
-from photocal.adjustment.adjust import adjust, minimum_of, with_statistics
+from photocal.adjustment.adjust import adjust, minimum_of
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.factored import factored
 from photocal.adjustment.network import Network
@@ -28,6 +28,8 @@ READOUT = PARAMETERS.index("readout")
 # The sigmas of gusts belong to the readout when it changes by less than this share; those of frames, too.
 SETTLED = 0.02
 ROUNDS = 5
+# Squared distance to the minimum, in units of the standard deviations, that may be left meanwhile.
+_ROUGHLY = 1e-3
 _LENS = tuple(PARAMETERS.index(name) for name in ("c", "x0", "y0"))
 
 
@@ -102,19 +104,20 @@ def _settled(
     """Adjust until the sigmas of gusts belong to the readouts; `solution` is of a network before a change."""
     if not changed and _belong(network, _room(network, solution)):
         return network, solution
-    minimum = minimum_of(network, report, solution.state) if changed else None
+    state, moved = solution.state, changed
+    if changed:
+        state = minimum_of(network, report, state, _ROUGHLY)[1].state
     free = _free(network)
     before = dict[int, tuple[float, float]]()
     for _ in range(ROUNDS):
-        state = solution.state if minimum is None else minimum[1].state
         values = {k: float(state.cameras[k, READOUT]) for k in free}
         if _belong(network, values):
             break
         pairs = {k: (float(network.cameras[k].values[READOUT]), v) for k, v in values.items()}
         settling = {k: _where_they_meet(before.get(k), pair) for k, pair in pairs.items()}
-        network = _with_values(network, settling)
-        before, minimum = pairs, minimum_of(network, report, state)
-    solution = solution if minimum is None else with_statistics(*minimum).solution
+        network, moved = _with_values(network, settling), True
+        before, state = pairs, minimum_of(network, report, state, _ROUGHLY)[1].state
+    solution = adjust(network, report, state) if moved else solution
     room = _room(network, solution)
     if _belong(network, room):
         return network, solution
@@ -189,7 +192,11 @@ def with_moving_images(
     See `with_readouts`, `with_lags` and `with_shake`.
     """
     rolling, solution, readouts = with_readouts(network, solution, report)
-    network, solution = with_shake(*with_lags(rolling, solution, report), report)
+    network, solution = with_lags(rolling, solution, report)
+    shaking, solution = with_shake(network, solution, report)
+    if shaking is not network:
+        # What vibrates may have passed for readout: gusts get their room anew.
+        network, solution = _settled(shaking, solution, report, changed=False)
     place = {camera.id: k for k, camera in enumerate(network.cameras)}
     if network is not rolling:
         readouts = tuple(

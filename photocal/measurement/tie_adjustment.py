@@ -153,7 +153,8 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> AdjustedTies:
             break
     # Readouts that the network did not bear while rays still fell out are tested once more.
     ties = replace(ties, start=_opened(ties.start, given))
-    ties, block, (start, assembly, solution) = _where_rays_meet(ties, block, held=False)
+    ties, block, solved = _where_rays_meet(ties, block, held=False)
+    start, assembly, solution = _with_room(*solved)
     start = _opened(start, given)
     if start.datum == "free":
         block = without_single_rays(block)
@@ -221,9 +222,7 @@ def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camer
     solution = adjust(assembly.network, state=state)
     # A rolling shutter looks like gross errors; who holds the lens cannot tell it.
     asked = any(camera.shutter == "unknown" and camera.estimated.any() for camera in cameras)
-    # How far images may move follows their readout: round after round it would swing to and fro.
-    estimated = any(camera.rolling and camera.estimated[READOUT] for camera in cameras)
-    if estimated or (asked and rolls_whatever_the_lens(assembly.network, solution)):
+    if asked and rolls_whatever_the_lens(assembly.network, solution):
         network, solution, _ = with_readouts(assembly.network, solution)
         # What the network did not bear it will not bear in the next round.
         shut = [
@@ -231,6 +230,25 @@ def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camer
             for camera in network.cameras
         ]
         assembly = replace(assembly, network=replace(network, cameras=tuple(shut)))
+    return _taken(start, assembly, solution)
+
+
+def _with_room(start: Block, assembly: NetworkOfBlock, solution: Solution) -> Solved:
+    """Let images move as far as their readouts tell, which were those of the round before.
+
+    Only once all rays are chosen: in each round again it would take most of the time.
+    """
+    if not any(camera.rolling and camera.estimated[READOUT] for camera in assembly.network.cameras):
+        return start, assembly, solution
+    try:
+        network, solution, _ = with_readouts(assembly.network, solution)
+    except (IllPosedError, NotConvergedError):
+        return start, assembly, solution
+    return _taken(start, replace(assembly, network=network), solution)
+
+
+def _taken(start: Block, assembly: NetworkOfBlock, solution: Solution) -> Solved:
+    """The block with what an adjustment found of its cameras."""
     better = tuple(map(_better, start.cameras, assembly.network.cameras, solution.cameras))
     return replace(start, cameras=better), assembly, solution
 
