@@ -140,12 +140,12 @@ def _by_chords(
         return None
     moved, length = moved_by(problem, state, normal, step)
     try:
-        near = chords(problem, normal, moved, near, length)
+        found = chords(problem, normal, moved, near, length)
     except NotConvergedError:
         return None
-    if not near.chi_squared < normal.chi_squared:
+    if not found.chi_squared < normal.chi_squared:
         return None
-    steps = (Iteration(1, near.chi_squared, length, 0.0),)
+    steps = (Iteration(1, found.chi_squared, length, 0.0),)
     if report:
         report(steps[0])
-    return Minimum(near.state, normal_equations(problem, near.state, 0.0, normal.kept), steps)
+    return Minimum(found.state, normal_equations(problem, found.state, 0.0, normal.kept), steps)

@@ -1,7 +1,10 @@
 """What gusts move while a shutter rolls, or between the exposures of heads: for times that are found."""
 
+import hashlib
+import pickle
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import cast
 
 import numpy as np
@@ -204,6 +207,34 @@ def with_moving_images(
             for readout in readouts
         )
     return network, solution, readouts
+
+
+Moved = tuple[Network, Solution, tuple[Readout, ...]]
+
+
+def adjust_moving_images(network: Network, report: Report | None = None) -> Moved:
+    """Adjust a network, see `adjust`, and what `with_moving_images` adds to it.
+
+    Calibration and check of a flight ask for the same: where images may move the last one is kept.
+    """
+    rolls = any(camera.shutter == "unknown" or camera.estimated[READOUT] for camera in network.cameras)
+    if network.exposures.motion is None or not rolls or network.relations.further:
+        return with_moving_images(network, adjust(network, report), report)
+    return _last_moved(_Asked(hashlib.sha256(pickle.dumps(network)).digest(), network, report))
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A network by its content."""
+
+    content: bytes
+    network: Network = field(compare=False)
+    report: Report | None = field(compare=False)
+
+
+@lru_cache(maxsize=1)
+def _last_moved(asked: _Asked) -> Moved:
+    return with_moving_images(asked.network, adjust(asked.network, asked.report), asked.report)
 
 
 def rolls_whatever_the_lens(network: Network, solution: Solution) -> bool:

@@ -23,7 +23,7 @@ from photocal.adjustment.mounting import (
     body_to_camera,
 )
 from photocal.adjustment.network import Network, covariance_matrices
-from photocal.adjustment.readout import READOUT, with_moving_images
+from photocal.adjustment.readout import READOUT, adjust_moving_images
 from photocal.adjustment.rig import LATER
 from photocal.adjustment.solution import GlobalTest, Solution, global_test
 from photocal.adjustment.state import State, start_state
@@ -171,7 +171,7 @@ def with_shutters(block: Block) -> Block:
     try:
         assembly = assemble(without_weak_images(checkable(block))[0])
         with because("shutters and lags of heads"):
-            network = with_moving_images(assembly.network, adjust(assembly.network))[0]
+            network = adjust_moving_images(assembly.network)[0]
     except PhotocalError:
         return block
     lag = {

@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import BORESIGHT, COMMON, STRIPS
 from photocal.adjustment.network import Network
-from photocal.adjustment.readout import with_moving_images
+from photocal.adjustment.readout import adjust_moving_images, with_moving_images
 from photocal.adjustment.rig import OF_HEAD, TURN, head_rotation
 from photocal.adjustment.snooping import Test, snoop, subset
 from photocal.adjustment.solution import Solution, global_test
@@ -480,9 +479,9 @@ def adjusted(
         assembly = _part(assembly, *subset(network, ~lost[network.rays.point]))
     with because("calibration of the block"):
         if snooping is None:
-            solution = adjust(assembly.network, report)
+            network, solution, readouts = adjust_moving_images(assembly.network, report)
         else:
             clean = snoop(assembly.network, snooping, report)
-            assembly, solution = _part(assembly, clean.network, clean.accepted, clean.points), clean.solution
-        network, solution, readouts = with_moving_images(assembly.network, solution, report)
+            assembly = _part(assembly, clean.network, clean.accepted, clean.points)
+            network, solution, readouts = with_moving_images(assembly.network, clean.solution, report)
     return replace(assembly, network=network, readouts=readouts), solution
