@@ -8,6 +8,7 @@ from scipy.ndimage import label
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.policy import policy
 from photocal.navigation.engine import FIXED, FLOAT, EngineSolution
+from photocal.navigation.float_errors import CodeErrors
 from photocal.navigation.time import GpsTime
 
 # A claim of two runs to the same fix holds when they agree as well as two fixes do.
@@ -30,7 +31,7 @@ class ValidatedFixes:
     """The combined solution with its final status, and why epochs lost their fix.
 
     solution: same positions; quality and covariance as judged.
-    float_factor (3,): factor on the engine's float sigmas (east, north, up).
+    float_factor (3,): by how much the engine's float sigmas are too small over the flight (east, north, up).
     separation_m (n, 3): forward minus backward; NaN where one of them has no position.
     directions (n, 2): quality of forward and backward, 0 where there is no position.
     velocity_sigma_m_s: robust standard deviation of the Doppler velocity, one component.
@@ -50,8 +51,12 @@ def judge(
     backward: EngineSolution,
     code: EngineSolution,
     ratio: float,
+    codes: CodeErrors | None = None,
 ) -> ValidatedFixes:
-    """Validate the fixes of a combined solution and rescale the sigmas of the rest."""
+    """Validate the fixes of a combined solution and rescale the sigmas of the rest.
+
+    codes: how long errors of the codes last; None where too few satellites tell.
+    """
     origin = combined.place[0]
     here = combined.offsets(origin)
     fore, back = forward.at(combined.time), backward.at(combined.time)
@@ -82,8 +87,11 @@ def judge(
     left &= ~demoted["few fixes in a row, not confirmed"]
     quality = np.where(fixed & ~left, FLOAT, combined.quality)
     factor = _float_factor(forward, fore, backward, back, separation)
-    covariance = _covariance(combined, quality, factor, separation)
+    covariance = _covariance(combined, quality, factor, separation, codes)
     judged = replace(combined, quality=quality, covariance_m2=covariance)
+    floating = quality == FLOAT
+    if floating.any():
+        factor = np.sqrt(np.mean((judged.sigma_m / combined.sigma_m)[floating] ** 2, axis=0))
     return ValidatedFixes(judged, demoted, factor, separation, directions, sigma)
 
 
@@ -187,18 +195,26 @@ def _off_code(here: Floats, combined: EngineSolution, code: EngineSolution, orig
 def _float_factor(
     forward: EngineSolution, fore: Integers, backward: EngineSolution, back: Integers, separation: Floats
 ) -> Floats:
-    """Return how much too small the float sigmas are, from the separation of the two directions."""
+    """Return how much too small the float sigmas are, from the separation of the two directions.
+
+    Errors that last longer than the flight both directions share: these it cannot show.
+    """
     pair = (fore >= 0) & (back >= 0)
     floating = (_quality(forward, fore) == FLOAT) | (_quality(backward, back) == FLOAT)
     rows = pair & floating
     if rows.sum() < _SHORT_RUN:
-        # Without a second direction: the middle of what was found on recorded flights (11 to 26 times).
-        return np.full(3, 18.0)
+        return np.ones(3)
     claimed = np.hypot(forward.sigma_m[fore[rows]], backward.sigma_m[back[rows]])
     return np.asarray(np.maximum(np.sqrt(np.mean((separation[rows] / claimed) ** 2, axis=0)), 1.0))
 
 
-def _covariance(combined: EngineSolution, quality: Integers, factor: Floats, separation: Floats) -> Floats:
+def _covariance(
+    combined: EngineSolution,
+    quality: Integers,
+    factor: Floats,
+    separation: Floats,
+    codes: CodeErrors | None,
+) -> Floats:
     """Return honest covariances: scaled where float, with a floor for multipath where fixed."""
     scale = np.ones((len(combined), 3))
     sigma = combined.sigma_m
@@ -211,6 +227,9 @@ def _covariance(combined: EngineSolution, quality: Integers, factor: Floats, sep
     local = _local_rms(combined.time, separation, floating, window_ns) / np.sqrt(2)
     whole = sigma * factor
     joint = np.where(np.isfinite(local), np.sqrt((worth * local**2 + whole**2) / (worth + 1.0)), whole)
+    if codes is not None:
+        # What both directions share only the codes show.
+        joint = np.maximum(joint, codes.sigma_m(sigma))
     scale[floating] = (np.maximum(joint, sigma) / sigma)[floating]
     fixed = quality == FIXED
     scale[fixed] = (np.hypot(sigma, _FIXED_FLOOR_M) / sigma)[fixed]
