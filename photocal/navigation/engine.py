@@ -405,6 +405,8 @@ def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) 
         "pos2-armode": "continuous",
         "pos2-gloarmode": "on",
         "pos2-arthres": f"{options.ratio:g}",
+        # Multipath and air of low satellites spoil the search for whole cycles; as floats they take part.
+        "pos2-arelmask": "20",
         "out-solformat": "llh",
         "out-outhead": "on",
         "out-outvel": "on",

@@ -83,8 +83,11 @@ def judge(
         "off the code position": fixed & _off_code(here, combined, code, origin),
     }
     left = fixed & ~np.any(list(demoted.values()), axis=0)
-    demoted["few fixes in a row, not confirmed"] = left & _lonely(combined.time, left) & ~both
-    left &= ~demoted["few fixes in a row, not confirmed"]
+    broken = _broken(directions == FIXED, separation, steps)
+    lonely = left & _lonely(combined.time, left, broken) & ~both
+    lonely &= ~_carried(combined.time, left & ~lonely, directions == FIXED, separation)
+    demoted["few fixes in a row, not confirmed"] = lonely
+    left &= ~lonely
     quality = np.where(fixed & ~left, FLOAT, combined.quality)
     factor = _float_factor(forward, fore, backward, back, separation)
     covariance = _covariance(combined, quality, factor, separation, codes)
@@ -114,6 +117,25 @@ def _carried_on(fixed: Flags, disagree: Flags, steps_m: Floats) -> Flags:
             if refuted.any() and not this < other / 4:
                 doubtful |= run == k
     return doubtful & ~both
+
+
+def _carried(time: GpsTime, sure: Flags, fixed: Flags, separation: Floats) -> Flags:
+    """Tell which fixes of one direction are as far from the other as a sure one of that direction near by.
+
+    fixed (n, 2): by direction. What floats in the other keeps its ambiguities from one to the other, so both
+    fixes have the same.
+    """
+    carried, every = np.zeros(len(sure), bool), np.arange(len(sure))
+    for of_direction in fixed.T:
+        anchors = np.flatnonzero(sure & of_direction & np.isfinite(separation).all(axis=1))
+        if not len(anchors):
+            continue
+        after = np.minimum(np.searchsorted(anchors, every), len(anchors) - 1)
+        for at in (anchors[np.maximum(after - 1, 0)], anchors[after]):
+            near = np.abs(time.ns[at] - time.ns) <= _LASTING_NS
+            alike = (np.abs(separation - separation[at]) <= _SAME_FIX_M).all(axis=1)
+            carried |= of_direction & near & alike
+    return carried
 
 
 def _quality(solution: EngineSolution, row: Integers) -> Integers:
@@ -170,9 +192,20 @@ def _runs(time: GpsTime, fixed: Flags, broken: Flags | None = None) -> list[tupl
     return list(zip(np.flatnonzero(begins).tolist(), (np.flatnonzero(ends) + 1).tolist(), strict=True))
 
 
-def _lonely(time: GpsTime, fixed: Flags) -> Flags:
+def _broken(fixed: Flags, separation: Floats, steps_m: Floats) -> Flags:
+    """Tell between which epochs the fixes of a direction leap, against what floats in the other.
+
+    fixed (n, 2) and steps_m (n - 1, 2), movement that the Doppler velocity does not know, of both directions.
+    """
+    leaps = (np.abs(np.diff(separation, axis=0)) > _SAME_FIX_M).any(axis=1)
+    held = fixed[1:] & fixed[:-1]
+    # Of the two the rougher has leapt; where that is the float, its ambiguities have slipped.
+    return np.asarray(leaps & (held & (steps_m > steps_m[:, ::-1])).any(axis=1))
+
+
+def _lonely(time: GpsTime, fixed: Flags, broken: Flags) -> Flags:
     flagged = np.zeros(len(fixed), bool)
-    for start, stop in _runs(time, fixed):
+    for start, stop in _runs(time, fixed, broken):
         lasting = stop - start >= _FEWEST and time.ns[stop - 1] - time.ns[start] >= _LASTING_NS
         if stop - start < _SHORT_RUN and not lasting:
             flagged[start:stop] = True
