@@ -45,6 +45,8 @@ ARRIVED_HEAD = struct.Struct("<QQ")
 # Table that says of which recording a file is a part: the name of its first file (`first_file`), and the
 # number of this one (`file`).
 PART_OF = "part of"
+# What a recorder keeps in memory of what the disk has not confirmed of a file: no more is written again.
+MOST_UNSAFE = 64 << 20
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import io
 import json
 import struct
 import zlib
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,8 +20,8 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from acquire.log.chunk import MAGIC, MESSAGE_ROW, Channel, Schema
-from photocal.base.arrays import Integers
+from acquire.log.chunk import MAGIC, MESSAGE_ROW, MOST_UNSAFE, PART_OF, Channel, Schema
+from photocal.base.arrays import Flags, Integers
 from photocal.base.console import printable
 from photocal.base.errors import InputMalformedError, InputNotFoundError, reading
 
@@ -44,6 +45,12 @@ class LoggedMessages:
     log_ns: Integers
     publish_ns: Integers
     sequence: Integers
+
+    def rows(self, chosen: Flags) -> "LoggedMessages":
+        """Return some of the messages."""
+        payloads = [payload for payload, keep in zip(self.payloads, chosen.tolist(), strict=True) if keep]
+        columns = self.log_ns[chosen], self.publish_ns[chosen], self.sequence[chosen]
+        return LoggedMessages(self.channel, payloads, *columns)
 
 
 @dataclass
@@ -199,6 +206,64 @@ class LogReader:
         self._channels[channel.id] = Channel(channel.topic, channel.message_encoding, known, channel.metadata)
 
 
+# Recording, topic and encoding; numbers of messages and their times of receipt.
+_Stream = tuple[str, str, str]
+_Heads = tuple[Integers, Integers]
+
+
+class Repeats:
+    """Leaves out what an earlier file of the same recording holds, too.
+
+    What a disk has not confirmed is written again to the next file; where the disk was pulled, the first may
+    have it all the same. It is the same message where its number and its time of receipt are.
+    """
+
+    def __init__(self) -> None:
+        self._path: Path | None = None
+        # The last messages of the file that is read: a recorder writes no others again.
+        self._here: deque[tuple[int, dict[_Stream, _Heads]]] = deque()
+        self._bytes = 0
+        self._earlier: dict[_Stream, _Heads] = {}
+
+    def without(self, reader: LogReader, chunk: list[LoggedMessages]) -> list[LoggedMessages]:
+        """Return what is new in a chunk, the files of a recording one after the other."""
+        recording = reader.metadata.get(PART_OF, {}).get("first_file")
+        if recording is None:
+            return chunk
+        if reader.path != self._path:
+            self._next_file(reader.path)
+        size, heads, new = 0, dict[_Stream, _Heads](), list[LoggedMessages]()
+        for part in chunk:
+            stream = recording, part.channel.topic, part.channel.encoding
+            size += sum(map(len, part.payloads))
+            heads[stream] = part.sequence, part.log_ns
+            known = self._known(stream, part)
+            if not known.all():
+                new.append(part.rows(~known) if known.any() else part)
+        self._here.append((size, heads))
+        self._bytes += size
+        while self._bytes > MOST_UNSAFE:
+            self._bytes -= self._here.popleft()[0]
+        return new
+
+    def _known(self, stream: _Stream, part: LoggedMessages) -> Flags:
+        numbers, times = self._earlier.get(stream, (part.sequence[:0], part.log_ns[:0]))
+        if not len(numbers):
+            return np.zeros(len(part.payloads), bool)
+        at = np.minimum(np.searchsorted(numbers, part.sequence), len(numbers) - 1)
+        return np.asarray((numbers[at] == part.sequence) & (times[at] == part.log_ns))
+
+    def _next_file(self, path: Path) -> None:
+        for stream in {stream for _, heads in self._here for stream in heads}:
+            parts = [heads[stream] for _, heads in self._here if stream in heads]
+            every = [self._earlier[stream], *parts] if stream in self._earlier else parts
+            numbers, times = (np.concatenate(columns) for columns in zip(*every, strict=True))
+            order = np.argsort(numbers, kind="stable")
+            self._earlier[stream] = numbers[order], times[order]
+        self._path, self._bytes = path, 0
+        self._here.clear()
+
+
 def _unpacked(chunk: mcap.Chunk) -> bytes:
     """Return the content of a chunk: as much as it claims to be, which is bounded, and no more."""
     size = chunk.uncompressed_size
@@ -244,12 +309,18 @@ def read_json(payload: bytes, path: Path) -> dict[str, Any]:
 Decode = Callable[[bytes], dict[str, Any]]
 
 
-def arrays_of_log(path: Path, topics: frozenset[str]) -> dict[str, dict[str, NDArray[Any]]]:
-    """Read topics in one pass; without any all that are decoded."""
+def arrays_of_log(
+    path: Path, topics: frozenset[str], repeats: Repeats | None = None
+) -> dict[str, dict[str, NDArray[Any]]]:
+    """Read topics in one pass; without any all that are decoded.
+
+    repeats: of the files before this one of a recording.
+    """
     rows: dict[str, list[dict[str, Any]]] = {}
     decoders: dict[Channel, Decode] = {}
-    for chunk in LogReader(path).chunks():
-        for messages in chunk:
+    reader, repeats = LogReader(path), repeats or Repeats()
+    for chunk in reader.chunks():
+        for messages in repeats.without(reader, chunk):
             channel = messages.channel
             if channel.topic not in topics if topics else channel.schema is None:
                 continue

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from acquire.log.chunk import MAGIC, PART_OF
-from acquire.log.reader import LoggedMessages, LogReader
+from acquire.log.reader import LoggedMessages, LogReader, Repeats
 from acquire.monitor.reducer import state_after
 from acquire.monitor.state import ComputerState, RecordingState
 from acquire.monitor.traffic import looked
@@ -35,6 +35,7 @@ class Tail:
         self._reader: LogReader | None = None
         # What each log says that was there; the one that is read may be gone since.
         self._parts: dict[Path, _Part] = {}
+        self._repeats = Repeats()
         self.flight = ""
         self.trouble = ""
 
@@ -66,7 +67,7 @@ class Tail:
             if self._reader.path.stat().st_size < len(MAGIC):
                 return []
             for chunk in self._reader.chunks(self._damaged):
-                chunks.append(chunk)
+                chunks.append(self._repeats.without(self._reader, chunk))
                 if len(chunks) == _MOST_CHUNKS:
                     break
         except OSError as refusal:
@@ -97,10 +98,10 @@ class Tail:
         unseen = [path for path in paths if path not in self._parts and _NAME.fullmatch(path.name)]
         parts = {path: part for path in unseen if (part := _part(path)) is not None}
         self._parts.update(parts)
-        logs = sorted(parts, key=lambda path: (parts[path], path.name))
+        logs = sorted(parts, key=lambda path: (not _to_come(parts[path]), parts[path], path.name))
         if self._reader is not None:
             current = self._parts[self._reader.path]
-            return [path for path in logs if parts[path] > current]
+            return [path for path in logs if _follows(path, parts[path], current)]
         first = len(logs) - 1
         while first > 0 and self._goes_on(logs[first - 1], logs[first]):
             first -= 1
@@ -117,7 +118,24 @@ class Tail:
         last_s = _written_s(before)
         # Files of one flight follow each other within this time, also when the recorder was started again.
         same_flight_s = 60.0
-        return last_s is not None and _begun_s(path) - last_s <= same_flight_s and not _has_end(before)
+        # A name has whole seconds; where the clock was set back meanwhile nothing tells how long it was.
+        apart_s = math.nan if last_s is None else _begun_s(path) - last_s
+        return -1.0 <= apart_s <= same_flight_s and not _has_end(before)
+
+
+def _follows(path: Path, part: _Part, current: _Part) -> bool:
+    """Whether a log that has come while another was read is a later one.
+
+    One with an earlier name is a recording begun after the clock was set back, as long as it is written; or
+    else an older log that was brought here.
+    """
+    return part > current or (part[0] != current[0] and not _has_end(path))
+
+
+def _to_come(part: _Part) -> bool:
+    """Whether a recording bears a time that is still to come: it was begun before the clock was set back."""
+    begun_s = _begun_s(Path(part[0]))
+    return math.isfinite(begun_s) and begun_s > time.time() + 1.0
 
 
 def _part(path: Path) -> _Part | None:
@@ -233,6 +251,8 @@ def read_all(tail: Tail) -> RecordingState:
             state = RecordingState(flight=tail.flight)
         for chunk in chunks:
             state = state_after(state, chunk)
+        # After a log without an end another may follow.
+        more = more or bool(chunks)
     return looked(state, look(tail))
 
 

@@ -14,12 +14,9 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from acquire.log.chunk import MAGIC, SealedChunk
+from acquire.log.chunk import MAGIC, MOST_UNSAFE, SealedChunk
 from acquire.log.writer import LogWriter
 from photocal.base.operating_system import sync_folder
-
-# What a file keeps in memory of what the disk has not confirmed; beyond it the disk alone has it.
-MOST_UNSAFE = 64 << 20
 
 
 class WholeWrites(io.RawIOBase):

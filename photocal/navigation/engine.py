@@ -3,7 +3,7 @@
 The engine is RTKLIB 2.4.3 (Takasu and Yasuda 2009) by its programs `convbin` and `rnx2rtkp`, as Debian
 packages them. Its fork demo5 fixes more epochs and, on a rover among trees, 2 % of them wrongly.
 
-What the engine writes: positions, and direction and phase residual of each satellite.
+What the engine writes: positions, and direction and residuals of each satellite.
 """
 
 import shutil
@@ -149,7 +149,7 @@ class SatelliteResiduals:
     satellite: such as ``G05``.
     frequency (n,): 1 or 2.
     azimuth, elevation (n,): radians.
-    residual_m (n,): of the phase, double differenced: that of the reference satellite is 0.
+    residual_m, code_m (n,): of phase and code, double differenced: those of the reference satellite are 0.
     """
 
     time: GpsTime
@@ -158,6 +158,7 @@ class SatelliteResiduals:
     azimuth: Floats
     elevation: Floats
     residual_m: Floats
+    code_m: Floats
 
     def __len__(self) -> int:
         return len(self.time)
@@ -172,7 +173,7 @@ def read_satellite_residuals(path: Path) -> SatelliteResiduals:
         with path.open(encoding="latin-1") as stream:
             records = (line.split(",") for line in stream if line.startswith("$SAT"))
             rows = [fields[1:9] for fields in records if len(fields) >= least_fields and fields[9] == "1"]
-    week, tow, satellite, frequency, azimuth, elevation, _, residual = (
+    week, tow, satellite, frequency, azimuth, elevation, code, residual = (
         zip(*rows, strict=True) if rows else [()] * 8
     )
     seconds = np.array(tow, np.float64)
@@ -184,6 +185,7 @@ def read_satellite_residuals(path: Path) -> SatelliteResiduals:
         np.radians(np.array(azimuth, np.float64)),
         np.radians(np.array(elevation, np.float64)),
         np.array(residual, np.float64),
+        np.array(code, np.float64),
     )
 
 
@@ -403,6 +405,8 @@ def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) 
         "pos2-armode": "continuous",
         "pos2-gloarmode": "on",
         "pos2-arthres": f"{options.ratio:g}",
+        # Multipath and air of low satellites spoil the search for whole cycles; as floats they take part.
+        "pos2-arelmask": "20",
         "out-solformat": "llh",
         "out-outhead": "on",
         "out-outvel": "on",

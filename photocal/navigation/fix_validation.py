@@ -8,6 +8,7 @@ from scipy.ndimage import label
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.policy import policy
 from photocal.navigation.engine import FIXED, FLOAT, EngineSolution
+from photocal.navigation.float_errors import CodeErrors
 from photocal.navigation.time import GpsTime
 
 # A claim of two runs to the same fix holds when they agree as well as two fixes do.
@@ -30,7 +31,7 @@ class ValidatedFixes:
     """The combined solution with its final status, and why epochs lost their fix.
 
     solution: same positions; quality and covariance as judged.
-    float_factor (3,): factor on the engine's float sigmas (east, north, up).
+    float_factor (3,): by how much the engine's float sigmas are too small over the flight (east, north, up).
     separation_m (n, 3): forward minus backward; NaN where one of them has no position.
     directions (n, 2): quality of forward and backward, 0 where there is no position.
     velocity_sigma_m_s: robust standard deviation of the Doppler velocity, one component.
@@ -50,8 +51,12 @@ def judge(
     backward: EngineSolution,
     code: EngineSolution,
     ratio: float,
+    codes: CodeErrors | None = None,
 ) -> ValidatedFixes:
-    """Validate the fixes of a combined solution and rescale the sigmas of the rest."""
+    """Validate the fixes of a combined solution and rescale the sigmas of the rest.
+
+    codes: how long errors of the codes last; None where too few satellites tell.
+    """
     origin = combined.place[0]
     here = combined.offsets(origin)
     fore, back = forward.at(combined.time), backward.at(combined.time)
@@ -78,12 +83,18 @@ def judge(
         "off the code position": fixed & _off_code(here, combined, code, origin),
     }
     left = fixed & ~np.any(list(demoted.values()), axis=0)
-    demoted["few fixes in a row, not confirmed"] = left & _lonely(combined.time, left) & ~both
-    left &= ~demoted["few fixes in a row, not confirmed"]
+    broken = _broken(directions == FIXED, separation, steps)
+    lonely = left & _lonely(combined.time, left, broken) & ~both
+    lonely &= ~_carried(combined.time, left & ~lonely, directions == FIXED, separation)
+    demoted["few fixes in a row, not confirmed"] = lonely
+    left &= ~lonely
     quality = np.where(fixed & ~left, FLOAT, combined.quality)
     factor = _float_factor(forward, fore, backward, back, separation)
-    covariance = _covariance(combined, quality, factor, separation)
+    covariance = _covariance(combined, quality, factor, separation, codes)
     judged = replace(combined, quality=quality, covariance_m2=covariance)
+    floating = quality == FLOAT
+    if floating.any():
+        factor = np.sqrt(np.mean((judged.sigma_m / combined.sigma_m)[floating] ** 2, axis=0))
     return ValidatedFixes(judged, demoted, factor, separation, directions, sigma)
 
 
@@ -106,6 +117,25 @@ def _carried_on(fixed: Flags, disagree: Flags, steps_m: Floats) -> Flags:
             if refuted.any() and not this < other / 4:
                 doubtful |= run == k
     return doubtful & ~both
+
+
+def _carried(time: GpsTime, sure: Flags, fixed: Flags, separation: Floats) -> Flags:
+    """Tell which fixes of one direction are as far from the other as a sure one of that direction near by.
+
+    fixed (n, 2): by direction. What floats in the other keeps its ambiguities from one to the other, so both
+    fixes have the same.
+    """
+    carried, every = np.zeros(len(sure), bool), np.arange(len(sure))
+    for of_direction in fixed.T:
+        anchors = np.flatnonzero(sure & of_direction & np.isfinite(separation).all(axis=1))
+        if not len(anchors):
+            continue
+        after = np.minimum(np.searchsorted(anchors, every), len(anchors) - 1)
+        for at in (anchors[np.maximum(after - 1, 0)], anchors[after]):
+            near = np.abs(time.ns[at] - time.ns) <= _LASTING_NS
+            alike = (np.abs(separation - separation[at]) <= _SAME_FIX_M).all(axis=1)
+            carried |= of_direction & near & alike
+    return carried
 
 
 def _quality(solution: EngineSolution, row: Integers) -> Integers:
@@ -162,9 +192,20 @@ def _runs(time: GpsTime, fixed: Flags, broken: Flags | None = None) -> list[tupl
     return list(zip(np.flatnonzero(begins).tolist(), (np.flatnonzero(ends) + 1).tolist(), strict=True))
 
 
-def _lonely(time: GpsTime, fixed: Flags) -> Flags:
+def _broken(fixed: Flags, separation: Floats, steps_m: Floats) -> Flags:
+    """Tell between which epochs the fixes of a direction leap, against what floats in the other.
+
+    fixed (n, 2) and steps_m (n - 1, 2), movement that the Doppler velocity does not know, of both directions.
+    """
+    leaps = (np.abs(np.diff(separation, axis=0)) > _SAME_FIX_M).any(axis=1)
+    held = fixed[1:] & fixed[:-1]
+    # Of the two the rougher has leapt; where that is the float, its ambiguities have slipped.
+    return np.asarray(leaps & (held & (steps_m > steps_m[:, ::-1])).any(axis=1))
+
+
+def _lonely(time: GpsTime, fixed: Flags, broken: Flags) -> Flags:
     flagged = np.zeros(len(fixed), bool)
-    for start, stop in _runs(time, fixed):
+    for start, stop in _runs(time, fixed, broken):
         lasting = stop - start >= _FEWEST and time.ns[stop - 1] - time.ns[start] >= _LASTING_NS
         if stop - start < _SHORT_RUN and not lasting:
             flagged[start:stop] = True
@@ -187,18 +228,26 @@ def _off_code(here: Floats, combined: EngineSolution, code: EngineSolution, orig
 def _float_factor(
     forward: EngineSolution, fore: Integers, backward: EngineSolution, back: Integers, separation: Floats
 ) -> Floats:
-    """Return how much too small the float sigmas are, from the separation of the two directions."""
+    """Return how much too small the float sigmas are, from the separation of the two directions.
+
+    Errors that last longer than the flight both directions share: these it cannot show.
+    """
     pair = (fore >= 0) & (back >= 0)
     floating = (_quality(forward, fore) == FLOAT) | (_quality(backward, back) == FLOAT)
     rows = pair & floating
     if rows.sum() < _SHORT_RUN:
-        # Without a second direction: the middle of what was found on recorded flights (11 to 26 times).
-        return np.full(3, 18.0)
+        return np.ones(3)
     claimed = np.hypot(forward.sigma_m[fore[rows]], backward.sigma_m[back[rows]])
     return np.asarray(np.maximum(np.sqrt(np.mean((separation[rows] / claimed) ** 2, axis=0)), 1.0))
 
 
-def _covariance(combined: EngineSolution, quality: Integers, factor: Floats, separation: Floats) -> Floats:
+def _covariance(
+    combined: EngineSolution,
+    quality: Integers,
+    factor: Floats,
+    separation: Floats,
+    codes: CodeErrors | None,
+) -> Floats:
     """Return honest covariances: scaled where float, with a floor for multipath where fixed."""
     scale = np.ones((len(combined), 3))
     sigma = combined.sigma_m
@@ -211,6 +260,9 @@ def _covariance(combined: EngineSolution, quality: Integers, factor: Floats, sep
     local = _local_rms(combined.time, separation, floating, window_ns) / np.sqrt(2)
     whole = sigma * factor
     joint = np.where(np.isfinite(local), np.sqrt((worth * local**2 + whole**2) / (worth + 1.0)), whole)
+    if codes is not None:
+        # What both directions share only the codes show.
+        joint = np.maximum(joint, codes.sigma_m(sigma))
     scale[floating] = (np.maximum(joint, sigma) / sigma)[floating]
     fixed = quality == FIXED
     scale[fixed] = (np.hypot(sigma, _FIXED_FLOOR_M) / sigma)[fixed]

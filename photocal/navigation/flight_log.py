@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from acquire.log.chunk import Channel
-from acquire.log.reader import LoggedMessages, LogReader, arrays_of_log
+from acquire.log.reader import LoggedMessages, LogReader, Repeats, arrays_of_log
 from drivers.frames import Wire
 from drivers.protocols import receiver_wires
 from photocal.base.errors import InputNotFoundError
@@ -23,7 +23,8 @@ class FlightLog:
 
     The logs are opened and read when a message is first asked for, and never again: raw frames, event lists,
     exposures, positions and attitudes are kept, all else is passed over. The numbers of their messages go on
-    from log to log: a decoded message has that of the frame that it was made from.
+    from log to log: a decoded message has that of the frame that it was made from. What a recorder wrote
+    to two files, because a disk had not confirmed it, is there once.
 
     Attributes
     ----------
@@ -66,8 +67,9 @@ class FlightLog:
         """Give an Arrow table of each topic, all decoded ones without names; columns as of `read_log`."""
         pa = package("pyarrow")
         parts: dict[str, list[Any]] = {}
+        repeats = Repeats()
         for path in self.paths:
-            for topic, columns in arrays_of_log(path, frozenset(topics)).items():
+            for topic, columns in arrays_of_log(path, frozenset(topics), repeats).items():
                 arrays = {name: pa.array(values.tolist()) for name, values in columns.items()}
                 parts.setdefault(topic, []).append(pa.table(arrays))
         return {topic: pa.concat_tables(some, promote_options="default") for topic, some in parts.items()}
@@ -101,10 +103,12 @@ class FlightLog:
 
     @cached_property
     def _messages(self) -> list[LoggedMessages]:
-        first, every = 0, list[LoggedMessages]()
+        first, every, repeats = 0, list[LoggedMessages](), Repeats()
         for path in self.paths:
-            for chunk in LogReader(path, wanted=_is_wanted).chunks():
-                every += [replace(messages, sequence=messages.sequence + first) for messages in chunk]
+            reader = LogReader(path, wanted=_is_wanted)
+            for chunk in reader.chunks():
+                new = repeats.without(reader, chunk)
+                every += [replace(messages, sequence=messages.sequence + first) for messages in new]
             first = 1 + max((int(messages.sequence.max()) for messages in every), default=-1)
         return every
 

@@ -24,6 +24,7 @@ from photocal.navigation.engine import (
     trajectory_of,
 )
 from photocal.navigation.fix_validation import ValidatedFixes, judge
+from photocal.navigation.float_errors import code_errors
 from photocal.navigation.precise_results import (
     ObservationFile,
     antenna_named,
@@ -212,7 +213,9 @@ def process(
             both, forward, backward = pool.map(run, ("combined", "forward", "backward"))
             code, forward, backward = alone.result(), in_order(forward), in_order(backward)
             combined, replaced = between_directions(_differential(both, inputs), forward, backward)
-            judgement, count = judge(combined, forward, backward, code, options.ratio), int(replaced.sum())
+            lasting = code_errors(engine.satellite_residuals(mode, inputs.rover.path, folder))
+            judgement = judge(combined, forward, backward, code, options.ratio, lasting)
+            count = int(replaced.sum())
             row = code.at(combined.time)
             velocity = np.where((row >= 0)[:, None], code.velocity_m_s[row], np.nan)
             sigma = judgement.velocity_sigma_m_s

@@ -101,7 +101,7 @@ def ppk(
     """Compute the trajectory of a rover from raw observations of rover and base.
 
     Fixes are validated (ratio, both directions, Doppler velocity, code) and doubtful ones become float; float
-    sigmas are rescaled to what both directions show.
+    sigmas are rescaled to what both directions and the residuals of the codes show.
 
     Parameters
     ----------

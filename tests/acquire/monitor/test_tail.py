@@ -234,3 +234,31 @@ def test_a_recording_after_one_that_was_ended_is_a_flight_of_its_own(tmp_path: P
     assert tail.flight == second.files.paths[0].name
     late = Tail([tmp_path])
     assert read(late) == [0, 1]
+
+
+@pytest.mark.parametrize("ended", [True, False], ids=["ended", "died"])
+def test_a_recording_begun_after_the_clock_was_set_back_is_noticed(ended: bool, tmp_path: Path) -> None:
+    """Its name is an earlier one; so is that of an old log brought to the folder, which has its end."""
+    ahead = time.time() + 7200
+    first = Recorder(tmp_path, clock_ns=lambda: round(ahead * SECOND))
+    first.write(3)
+    if ended:
+        first.files.close()
+    os.utime(first.files.paths[0], (ahead, ahead))
+    tail = Tail([tmp_path])
+    assert read(tail) == [0, 1, 2]
+    copied = tmp_path / "flight-20200101T000000Z.mcap"
+    with copied.open("wb") as stream:
+        writer = LogWriter(stream)
+        one = np.array([SECOND], np.int64)
+        writer.messages(CHANNEL, [b"old"], one, one, np.array([99]))
+        writer.close()
+    assert read(tail) == []
+    second = Recorder(tmp_path)
+    second.write(2)
+    assert second.files.paths[0].name < first.files.paths[0].name
+    assert read(tail) == [0, 1]
+    assert tail.flight == second.files.paths[0].name
+    late = Tail([tmp_path])
+    assert read(late) == [0, 1]
+    assert late.flight == tail.flight

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
+import termios
 import threading
 import time
-from collections.abc import Iterator
+import tty
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Self
 
 from acquire.importing.recovery import recover
+from acquire.log.chunk import MAGIC
 from acquire.log.replay import raw_frames
 from drivers import ubx
 from photocal.base.errors import InputMalformedError
@@ -121,3 +125,75 @@ def stopped(process: subprocess.Popen[bytes], order: int = signal.SIGINT) -> flo
     process.send_signal(order)
     process.wait(PATIENCE_S)
     return time.monotonic() - began_s
+
+
+def with_a_mute_link(folder: Path) -> tuple[Path, int]:
+    """Configure a link that raises an alarm soon."""
+    mute = f"udp://127.0.0.1:{free_port()}"
+    return configured(folder, ("mute", "ubx", mute, "silent_s = 0.3"))
+
+
+@contextlib.contextmanager
+def paused_terminal() -> Iterator[int]:
+    """Give a terminal on which somebody has pressed Ctrl-S."""
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    termios.tcflow(theirs, termios.TCOOFF)
+    yield theirs
+    for end in (ours, theirs):
+        os.close(end)
+
+
+@contextlib.contextmanager
+def full_pipe() -> Iterator[int]:
+    """Give a pipe that is full, which nobody reads."""
+    ours, theirs = os.pipe()
+    os.set_blocking(theirs, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(theirs, b"x" * 512)
+    os.set_blocking(theirs, True)
+    yield theirs
+    for end in (ours, theirs):
+        os.close(end)
+
+
+@contextlib.contextmanager
+def closed_pipe() -> Iterator[int]:
+    """Give a pipe whose reader has gone, as that of `| head -1`."""
+    ours, theirs = os.pipe()
+    os.close(ours)
+    yield theirs
+    os.close(theirs)
+
+
+@contextlib.contextmanager
+def full_disk() -> Iterator[int]:
+    """Give a file on a disk without room."""
+    with Path("/dev/full").open("wb") as file:
+        yield file.fileno()
+
+
+Output = Callable[[], contextlib.AbstractContextManager[int]]
+OUTPUTS: tuple[Output, ...] = (paused_terminal, full_pipe, closed_pipe, full_disk)
+# What waits for an output waits each time; a machine that is busy with other tests is slow now and then.
+STOP_S, ATTEMPTS = 0.5, 3
+
+
+def stops_in_time(output: Output, order: int, place: Path) -> None:
+    """Stop a recorder by a signal whose output takes nothing: all that was sent is in its log."""
+    took_s: list[float] = []
+    while len(took_s) < ATTEMPTS and min(took_s, default=STOP_S) >= STOP_S:
+        folder = place / str(len(took_s))
+        folder.mkdir()
+        path, port = with_a_mute_link(folder)
+        with output() as end, recording(path, "--json", stdout=end, stderr=end) as recorder:
+            with GoodLink(port) as good:
+                time.sleep(1.0)
+                assert recorder.poll() is None
+            took_s.append(stopped(recorder, order))
+        (log,) = (folder / "logs").iterdir()
+        assert log.read_bytes().endswith(MAGIC)
+        assert {frame for _, frame in good.sent} == kept_in(folder, "good")
+        assert recorder.returncode == 0
+    assert min(took_s) < STOP_S, took_s

@@ -217,6 +217,33 @@ def test_what_differs_in_one_picture_is_named(changed: dict[str, Any], code: str
     assert (found.code, found.severity, found.figures["images"]) == (code, severity, ("5.jpg",))
 
 
+def with_lens_position(path: Path, folder: Path, position: int) -> ImageFacts:
+    """Write a picture anew whose packet states a lens position, in the place of blanks behind the packet."""
+    stated, end = b'\n   drone-dji:LensPosition="%d"' % position, b"</x:xmpmeta>"
+    head, packet, rest = path.read_bytes().partition(b"\n   drone-dji:GimbalReverse=")
+    inner, _, behind = rest.partition(end)
+    blanks = b" " * len(stated)
+    assert packet
+    assert blanks in behind
+    data = head + stated + packet + inner + end + behind.replace(blanks, b"", 1)
+    assert len(data) == path.stat().st_size
+    (folder / path.name).write_bytes(data)
+    return read_facts(folder / path.name)
+
+
+@pytest.mark.parametrize("kind", ["p4m", "h20t"])
+def test_a_refocus_within_a_flight_of_real_pictures_is_named(kind: str, shared: Path, tmp_path: Path) -> None:
+    paths = sorted((shared / "data/dji-xmp" / kind).glob("*.JPG"))
+    positions = [312] * (len(paths) - 1) + [340]
+    own = [with_lens_position(path, tmp_path, at) for path, at in zip(paths, positions, strict=True)]
+    assert [image.lens_position for image in own] == positions
+    (found,) = (finding for finding in judge_pictures(own) if finding.code == "refocused")
+    assert (found.severity, found.figures["images"]) == ("doubtful", (paths[-1].name,))
+    assert found.figures["told"] == "lens position 340"
+    steady = [read_facts(path) for path in paths]
+    assert "refocused" not in {finding.code for finding in judge_pictures(steady)}
+
+
 def test_smear_goes_by_exposure_speed_and_distance() -> None:
     """5 m/s, 1/100 s and 140.577 m: 0.05 m on the ground; 24 mm of the diagonal of 43.27 mm are 443.7 px."""
     slow = m4e(exposure_s=0.01, laser_m=14.0577)

@@ -30,6 +30,9 @@ def still(interval_s: float, epochs: int, quality: int) -> EngineSolution:
     )
 
 
+_CODE = replace(still(1.0, 60, FLOAT), covariance_m2=np.broadcast_to(np.eye(3), (60, 3, 3)))
+
+
 @pytest.mark.parametrize("interval_s", [0.2, 1.0, 15.0, 30.0])
 def test_a_long_run_of_fixes_needs_no_second_direction(interval_s: float) -> None:
     combined, one_way = still(interval_s, 60, FIXED), still(interval_s, 60, FLOAT)
@@ -57,6 +60,30 @@ def test_three_fixes_of_a_slow_receiver_need_no_second_direction() -> None:
     assert (judged.solution.quality == FIXED).sum() == 3
 
 
+@pytest.mark.parametrize(("leap_m", "kept"), [(0.0, 2), (0.2, 0)])
+def test_few_fixes_beside_a_sure_run_have_its_ambiguities_or_not(leap_m: float, kept: int) -> None:
+    """What floats in the other direction stands 0.5 m beside, as before; or the two fixes leap against it."""
+    floating, at = still(1.0, 60, FLOAT), np.arange(60)
+    few = (at >= 40) & (at < 42)
+    quality = np.where((at < 30) | few, FIXED, FLOAT)
+    forward = replace(floating, quality=quality, height_m=floating.height_m + leap_m * few)
+    other = replace(floating, height_m=floating.height_m + 0.5)
+    judged = judge(forward, forward, other, _CODE, 3.0)
+    assert (judged.solution.quality[few] == FIXED).sum() == kept
+    assert (judged.solution.quality[:30] == FIXED).all()
+
+
+@pytest.mark.parametrize(("which", "kept"), [("fix", 0), ("float", 8)])
+def test_a_run_in_which_the_fix_leaps_is_two(which: str, kept: int) -> None:
+    """0.2 m up after four of eight epochs: nothing in the path or the other direction goes with it."""
+    floating, at = still(1.0, 60, FLOAT), np.arange(60)
+    run = (at >= 20) & (at < 28)
+    leapt = replace(floating, height_m=floating.height_m + 0.2 * (at >= 24))
+    forward, other = (leapt, floating) if which == "fix" else (floating, leapt)
+    fixes = replace(forward, quality=np.where(run, FIXED, FLOAT))
+    assert (judge(fixes, fixes, other, _CODE, 3.0).solution.quality == FIXED).sum() == kept
+
+
 def test_a_pause_ends_a_run() -> None:
     """Two fixes before a pause of minutes and two after it are no four in a row."""
     whole = still(15.0, 60, FLOAT)
@@ -66,9 +93,6 @@ def test_a_pause_ends_a_run() -> None:
     late = GpsTime(whole.time.ns + 180_000_000_000 * (np.arange(60) >= 24))
     paused = replace(in_a_row, time=late)
     assert (judge(paused, paused, whole, whole, 3.0).solution.quality == FLOAT).all()
-
-
-_CODE = replace(still(1.0, 60, FLOAT), covariance_m2=np.broadcast_to(np.eye(3), (60, 3, 3)))
 
 
 @pytest.mark.parametrize("wrong", ["forward", "backward"])

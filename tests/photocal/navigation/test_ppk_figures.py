@@ -22,7 +22,7 @@ THURSDAY, TUESDAY = 4, 2
 
 
 def test_static_rover(static_run: Run, m8p: Path) -> None:
-    assert static_run.fixed.sum() >= 1054
+    assert static_run.fixed.sum() >= 1120
     found = against_receiver(static_run, m8p / "rover-20181004-1237.ubx.gz", THURSDAY)
     east, north, up = np.abs(np.median(found.error_m[found.fixed], axis=0))
     assert east < 0.005
@@ -33,12 +33,12 @@ def test_static_rover(static_run: Run, m8p: Path) -> None:
 
 
 def test_moving_rover(moving_run: Run, m8p: Path) -> None:
-    assert moving_run.fixed.sum() >= 440
+    assert moving_run.fixed.sum() >= 700
     found = against_receiver(moving_run, m8p / "rover-20181009-1221.ubx.gz", TUESDAY)
     horizontal = np.hypot(*found.error_m[found.fixed, :2].T)
     assert len(horizontal) > 250
     assert np.percentile(horizontal, 95) < 0.030
-    assert np.mean(horizontal > 0.10) <= 0.005
+    assert not (horizontal > 0.10).any()
 
 
 def test_float_epochs_are_as_good_as_they_claim(static_run: Run, moving_run: Run, m8p: Path) -> None:
@@ -48,7 +48,7 @@ def test_float_epochs_are_as_good_as_they_claim(static_run: Run, moving_run: Run
     ):
         found = against_receiver(run, m8p / f"{name}.ubx.gz", day)
         normalised = (found.error_m / found.sigma_m)[~found.fixed]
-        assert len(normalised) > 40
+        assert len(normalised) > 25
         rms = np.sqrt(np.mean(normalised**2, axis=0))
         assert (rms < 2).all()
         # Nor are they hidden behind sigmas that say nothing.
@@ -76,7 +76,10 @@ def test_the_engine_by_hand_gives_the_same(moving_run: Run, m8p: Path, tmp_path:
         files.append((obs, nav))
     (rover, rover_nav), (base, base_nav) = files
     base_m = ["3774696.5547", "-596647.9083", "5089485.6511"]
-    options = ["-p", "2", "-f", "1", "-m", "15", "-sys", "G,R", "-c", "-t", "-d", "9", "-r", *base_m]
+    elevation = tmp_path / "elevation.conf"
+    elevation.write_text("pos2-arelmask=20\n")
+    options = ["-k", str(elevation), "-p", "2", "-f", "1", "-m", "15", "-sys", "G,R", "-c", "-t", "-d", "9"]
+    options += ["-r", *base_m]
     done = subprocess.run(
         [solver, *options, *map(str, (rover, base, rover_nav, base_nav))],
         check=True,

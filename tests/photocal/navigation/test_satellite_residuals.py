@@ -30,6 +30,7 @@ def satellite_residuals(epochs: int, residual_m: np.ndarray) -> SatelliteResidua
         np.radians(np.tile([float(a) for _, a, _ in SKY], epochs)),
         np.radians(np.tile([float(e) for _, _, e in SKY], epochs)),
         residual_m.ravel(),
+        np.zeros(n * epochs),
     )
 
 
@@ -97,3 +98,4 @@ def test_a_status_file(tmp_path: Path) -> None:
     assert found.time.ns.tolist() == [2300 * 604_800 * 10**9 + 100_200_000_000]
     assert np.degrees(found.azimuth).tolist() == pytest.approx([20.0])
     assert found.residual_m.tolist() == [0.0021]
+    assert found.code_m.tolist() == [0.1234]
