@@ -1,6 +1,6 @@
 """Marks of points, by hand or found as targets, and control with its marks, as we and others write them."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -84,6 +84,7 @@ class ControlMarks:
     without_coordinates: points that have marks but no coordinates: they are left out.
     rows: of the list, where it has one for each mark.
     refused: those that are not used, with the reason.
+    assumed: points whose sigmas nobody states: they are along east, north and up in any system.
     """
 
     crs: str
@@ -92,6 +93,7 @@ class ControlMarks:
     without_coordinates: tuple[str, ...] = ()
     rows: int = 0
     refused: tuple[str, ...] = ()
+    assumed: frozenset[str] = frozenset()
 
 
 def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
@@ -104,7 +106,7 @@ def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks
     crs, places, marks = read_gcp_list(path, _BY_HAND)
     assumed = (sigma_m[0], *sigma_m)
     entries = [PointEntry(name, "control", xyz, assumed) for name, xyz in places.items()]
-    return ControlMarks(crs, object_points(entries), marks)
+    return ControlMarks(crs, object_points(entries), marks, assumed=frozenset(places))
 
 
 def read_typed_list(path: Path, sigma_m: Sigma) -> ControlMarks:
@@ -137,7 +139,7 @@ def read_typed_list(path: Path, sigma_m: Sigma) -> ControlMarks:
     entries = [PointEntry(name, "control", xyz, (sigma_m[0], *sigma_m)) for name, xyz in places.items()]
     rows = len(given) + len(unreadable)
     points = object_points(entries)
-    return ControlMarks(crs, points, tuple(marks.values()), (), rows, tuple(refused))
+    return ControlMarks(crs, points, tuple(marks.values()), (), rows, tuple(refused), frozenset(places))
 
 
 def in_map_system(given: ControlMarks) -> ControlMarks:
@@ -160,7 +162,7 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
         ) from refusal
     points = given.points
     if system.is_geocentric:
-        system, points = _geographic(system, points)
+        system, points = _geographic(system, points, given.assumed)
     if not system.is_geographic:
         authority = system.to_authority()
         return replace(given, crs=":".join(authority) if authority else given.crs)
@@ -180,8 +182,11 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
     return replace(given, crs=name, points=replace(points, values=values))
 
 
-def _geographic(system: Any, points: ObjectPoints) -> tuple[Any, ObjectPoints]:
-    """Take geocentric points to longitude, latitude and ellipsoidal height, with sigmas east, north, up."""
+def _geographic(system: Any, points: ObjectPoints, assumed: Collection[str]) -> tuple[Any, ObjectPoints]:
+    """Take geocentric points to longitude, latitude and ellipsoidal height, with sigmas east, north, up.
+
+    assumed: points whose sigmas are along these already.
+    """
     from pyproj import CRS, Transformer
     from pyproj.crs import GeographicCRS
     from pyproj.crs.coordinate_system import Ellipsoidal3DCS
@@ -201,6 +206,7 @@ def _geographic(system: Any, points: ObjectPoints) -> tuple[Any, ObjectPoints]:
     turn = enu_axes(values[:, 1], values[:, 0])
     # What only some axes hold or observe has no sigmas along others.
     whole: Flags = np.asarray((np.isfinite(points.sigma) & (points.sigma > 0.0)).all(axis=1))
+    whole &= [name not in assumed for name in points.names]
     cross = np.zeros_like(points.sigma) if points.cross is None else points.cross
     covariance = covariance_matrices(np.where(whole[:, None], points.sigma, 1.0), cross)
     variance = np.einsum("nab,nbc,nac->na", turn, covariance, turn)
@@ -241,11 +247,13 @@ def _marks(chunk: Element, path: Path) -> tuple[Mark, ...]:
 
 def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
     chunk = _chunk(path)
-    entries, bare = [], []
+    entries, bare, assumed = [], [], set()
     for marker in markers(chunk, path).values():
         if marker.role == "tie":
             bare.append(marker.name)
         else:
+            if np.isnan(marker.sigma).all():
+                assumed.add(marker.name)
             stated = zip(marker.sigma, (sigma_m[0], *sigma_m), strict=True)
             entries.append(replace(marker, sigma=[s if s == s else assumed for s, assumed in stated]))
     known = {entry.name for entry in entries}
@@ -256,7 +264,8 @@ def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
         )
     crs = (chunk.findtext("reference") or "").strip()
     local = not crs or crs.startswith("LOCAL_CS")
-    return ControlMarks("local" if local else crs, object_points(entries), marks, tuple(bare))
+    system = "local" if local else crs
+    return ControlMarks(system, object_points(entries), marks, tuple(bare), assumed=frozenset(assumed))
 
 
 def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
@@ -289,7 +298,8 @@ def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
         ) from failure
     if not entries:
         raise malformed("has no point with coordinates", "is it the right file?")
-    return ControlMarks("EPSG:4326", object_points(entries), tuple(marks), tuple(bare))
+    points = object_points(entries)
+    return ControlMarks("EPSG:4326", points, tuple(marks), tuple(bare), assumed=frozenset(points.names))
 
 
 def read_any_marks(path: Path, sizes: Mapping[str, tuple[int, int]]) -> tuple[Mark, ...]:

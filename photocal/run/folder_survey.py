@@ -67,13 +67,14 @@ class ControlFile:
     crs: "local" without one, else as the file calls it; empty when it does not say.
     cameras: where another program's set-up has them.
     rows, refused: of a list with a row for each mark: how many, and those that cannot be used.
+    assumed: points whose sigmas nobody states.
     """
 
     file: Path
     crs: str = ""
     points: ObjectPoints | None = None
     marks: tuple[Mark, ...] = ()
-    assumed: bool = False
+    assumed: frozenset[str] = frozenset()
     cameras: tuple[Camera, ...] = ()
     rows: int = 0
     refused: tuple[str, ...] = ()
@@ -224,14 +225,13 @@ def _control(path: Path, sizes: Sizes, unread: list[str]) -> ControlFile | None:
 
 def _one_file(path: Path, sizes: Sizes) -> ControlFile:
     given: ControlMarks = read_control_marks(path, ASSUMED_M, sizes)
-    return ControlFile(path, given.crs, given.points, given.marks, assumed=path.suffix.lower() != ".xml")
+    return ControlFile(path, given.crs, given.points, given.marks, given.assumed)
 
 
 def _typed_list(path: Path, _: Sizes) -> ControlFile:
     given = read_typed_list(path, ASSUMED_M)
-    return ControlFile(
-        path, given.crs, given.points, given.marks, assumed=True, rows=given.rows, refused=given.refused
-    )
+    rows, refused = given.rows, given.refused
+    return ControlFile(path, given.crs, given.points, given.marks, given.assumed, rows=rows, refused=refused)
 
 
 def _other_program(path: Path, _: Sizes) -> ControlFile:
@@ -268,7 +268,8 @@ def _micmac(path: Path, _: Sizes) -> ControlFile:
     assumed = all(sigma == PLACEHOLDER for point in ground for sigma in point.sigma)
     if assumed:
         ground = tuple(replace(point, sigma=(ASSUMED_M[0], *ASSUMED_M)) for point in ground)
-    return ControlFile(path, "local", object_points(ground), assumed=assumed)
+    points = object_points(ground)
+    return ControlFile(path, "local", points, assumed=frozenset(points.names if assumed else ()))
 
 
 def _table(path: Path, sizes: Sizes) -> ControlFile:
@@ -323,7 +324,8 @@ def _of_table(table: TextTable, names: tuple[str, ...], rows: Integers, degrees:
     sigma[np.array(roles) == "check"] = np.where(stated, sigma[np.array(roles) == "check"], np.inf)
     role = np.array([ROLES.index(name) for name in roles], dtype=np.int64)
     points = ObjectPoints(names, places, sigma, role)
-    return ControlFile(table.path, "EPSG:4326" if degrees else "", points, assumed=not stated)
+    system = "EPSG:4326" if degrees else ""
+    return ControlFile(table.path, system, points, assumed=frozenset(() if stated else names))
 
 
 def _bare_table(path: Path, sizes: Sizes) -> ControlFile:
@@ -344,7 +346,8 @@ def _bare_table(path: Path, sizes: Sizes) -> ControlFile:
     if not entries:
         raise InputNotFoundError("has no points", where=path)
     require_unique([entry.name for entry in entries], "point", path)
-    return ControlFile(path, "", object_points(entries), assumed=True)
+    points = object_points(entries)
+    return ControlFile(path, "", points, assumed=frozenset(points.names))
 
 
 def _marks(path: Path, sizes: Sizes) -> ControlFile:

@@ -47,6 +47,7 @@ class NewProject:
     offers: frames that a person may choose from, where it is not plain that they are the stored ones.
     rows, rows_used: of a list with a row for each mark.
     refused: its rows that are not used, with the reason.
+    assumed: points whose sigmas nobody states.
     """
 
     points: ObjectPoints = NO_POINTS
@@ -59,6 +60,7 @@ class NewProject:
     rows: int = 0
     rows_used: int = 0
     refused: list[str] = field(default_factory=list)
+    assumed: frozenset[str] = frozenset()
     known: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     doubtful: list[str] = field(default_factory=list)
@@ -107,7 +109,8 @@ def settle(
     placed = [image for image in facts if image.has_position]
     made = NewProject(crs=told.crs, height=told.height)
     if given is not None and given.points is not None:
-        made.points, made.rows, made.refused = given.points, given.rows, list(given.refused)
+        made.points, made.assumed = given.points, given.assumed
+        made.rows, made.refused = given.rows, list(given.refused)
         _with_marks(made, given, told, facts, folder)
     matters = bool(placed) or flown
     # Nothing that is asked may be of no use.
@@ -277,7 +280,8 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
             points = replace(points, values=points.values[:, [1, 0, 2]])
             made.known.append("control: latitude stands before longitude, as the pictures' positions show")
         try:
-            moved = in_map_system(ControlMarks(text, points, ())) if len(xy) else None
+            listed_there = ControlMarks(text, points, (), assumed=made.assumed)
+            moved = in_map_system(listed_there) if len(xy) else None
         except PhotocalError as refusal:
             made.asked.append(f"crs: {refusal}")
             return ""
