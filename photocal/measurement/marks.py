@@ -31,8 +31,8 @@ Sigma = tuple[float, float]
 MARK_HEADS = (
     ("image", (*IMAGE_HEADS, "image_name", "imagename", "image_label", "camera", "camera_label")),
     ("point", ("point", "gcp", "gcp_name", "gcp_label", "marker", "marker_label", "label", "ponto", "marco")),
-    ("x", ("x", "u", "image_u", "image_x", "x_px")),
-    ("y", ("y", "v", "image_v", "image_y", "y_px")),
+    ("x", ("x", "u", "image_u", "image_x", "x_px", "pixelx", "pixel_x", "px")),
+    ("y", ("y", "v", "image_v", "image_y", "y_px", "pixely", "pixel_y", "py")),
 )
 # Of our own tables, whose upper-left pixel has its centre at (0, 0).
 _OWN = ("image", "point", "x", "y")
@@ -272,8 +272,10 @@ def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
     """Marks from the middle of the image, over its longer side."""
     require_readable(path)
     malformed = InputMalformedError.at(path)
+    content: Any = read_json(path)
+    if not isinstance(content, dict) or "points" not in content:
+        raise malformed("is not a ground_control_points.json: it has no points", "is it the right file?")
     try:
-        content: Any = read_json(path)
         entries, bare, marks = [], [], []
         for point in content["points"]:
             name = str(point["id"])
