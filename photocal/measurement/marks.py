@@ -143,9 +143,10 @@ def read_typed_list(path: Path, sigma_m: Sigma) -> ControlMarks:
 
 
 def in_map_system(given: ControlMarks) -> ControlMarks:
-    """Take geographic and geocentric coordinates to the UTM zone of their middle; others stay as they are.
+    """Take geographic and geocentric coordinates, and maps in feet, to the UTM zone of their middle.
 
-    Heights stay as they are; those of geocentric coordinates count from the ellipsoid.
+    Heights stay as they are; those of geocentric coordinates count from the ellipsoid, those of a map in feet
+    are in feet, too.
     """
     from pyproj import Transformer
     from pyproj.aoi import AreaOfInterest
@@ -163,6 +164,8 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
     points = given.points
     if system.is_geocentric:
         system, points = _geographic(system, points, given.assumed)
+    elif (metres := unit_m(system)) != 1.0:
+        system, points = _of_feet(system, metres, points, given.assumed)
     if not system.is_geographic:
         authority = system.to_authority()
         return replace(given, crs=":".join(authority) if authority else given.crs)
@@ -180,6 +183,28 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
     )
     values = np.column_stack([east, north, points.values[:, 2]])
     return replace(given, crs=name, points=replace(points, values=values))
+
+
+def unit_m(system: Any) -> float:
+    """Metres of the unit of a plane map system; 1 for another kind."""
+    plane = system.is_projected and not system.is_compound
+    return float(system.axis_info[0].unit_conversion_factor) if plane else 1.0
+
+
+def _of_feet(
+    system: Any, metres: float, points: ObjectPoints, assumed: Collection[str]
+) -> tuple[Any, ObjectPoints]:
+    """Take points of a map in feet to longitude, latitude (deg) and height (m); assumed sigmas are in m."""
+    from pyproj import Transformer
+
+    geographic = system.geodetic_crs.to_2d()
+    longitude, latitude = Transformer.from_crs(system, geographic, always_xy=True).transform(
+        points.values[:, 0], points.values[:, 1], errcheck=True
+    )
+    values = np.column_stack([longitude, latitude, points.values[:, 2] * metres])
+    factor = np.where([name in assumed for name in points.names], 1.0, metres)[:, None]
+    cross = None if points.cross is None else points.cross * factor**2
+    return geographic, replace(points, values=values, sigma=points.sigma * factor, cross=cross)
 
 
 def _geographic(system: Any, points: ObjectPoints, assumed: Collection[str]) -> tuple[Any, ObjectPoints]:

@@ -24,7 +24,7 @@ from photocal.measurement.mark_frames import (
     choose_frame,
     inside,
 )
-from photocal.measurement.marks import ControlMarks, in_map_system, named_after
+from photocal.measurement.marks import ControlMarks, in_map_system, named_after, unit_m
 from photocal.measurement.position_files import map_places
 from photocal.run.folder_survey import ControlFile
 from photocal.run.project_checks import FAR_FROM_PICTURES_M, FREED, check_place, unfit
@@ -292,11 +292,8 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
             made.asked.append(f'crs: {text!r}{wrong}: write a map system (such as "EPSG:31982"), {_LOCAL}')
             return ""
         made.points = moved.points
-        if system.is_geocentric:
-            made.height = "ellipsoidal"
-            made.known.append(
-                f"control: geocentric coordinates, taken to {moved.crs} and ellipsoidal heights"
-            )
+        made.height = "ellipsoidal" if system.is_geocentric else made.height
+        made.known += _moved(system, moved.crs)
         return moved.crs
     offers = called(text, xy if len(xy) else None)
     if len(offers) == 1 and is_meant(text, offers[0]):
@@ -312,6 +309,16 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
         return "local"
     made.asked.append(f"crs: what is {text!r}?{_offered(offers, ' write EPSG:n')}, {_LOCAL}")
     return ""
+
+
+def _moved(system: Any, crs: str) -> list[str]:
+    """Say that points were taken to another kind of system, or to another unit."""
+    if system.is_geocentric:
+        return [f"control: geocentric coordinates, taken to {crs} and ellipsoidal heights"]
+    if unit_m(system) != 1.0:
+        unit = system.axis_info[0].unit_name
+        return [f"control: coordinates in {unit}, taken to {crs} and metres, heights as well"]
+    return []
 
 
 def _offered(offers: Sequence[MapSystem], example: str = "") -> str:

@@ -311,6 +311,33 @@ def test_stated_sigmas_of_geocentric_control_are_turned(
         assert float(row["sZ"]) == pytest.approx(2 * np.sin(latitude), rel=1e-4)
 
 
+def test_control_of_a_map_in_feet_comes_to_metres(pictures: Path, tmp_path: Path, photocal: Photocal) -> None:
+    """EPSG:2180 with a unit of its own: 1200/3937 m, the US survey foot, by its definition."""
+    foot = 1200 / 3937
+    feet = Transformer.from_crs(CRS, "EPSG:32634", always_xy=True)
+    meant: dict[str, tuple[float, ...]] = {}
+
+    def typed(rows: list[Row]) -> list[Row]:
+        meant.update({row.name: (*feet.transform(*row.place[:2]), row.place[2]) for row in rows})
+        return [
+            replace(row, place=(row.place[0] / foot, row.place[1] / foot, row.place[2] / foot))
+            for row in rows
+        ]
+
+    own = "+proj=tmerc +lat_0=0 +lon_0=19 +k=0.9993 +x_0=500000 +y_0=-5300000 +ellps=GRS80 +units=us-ft"
+    site_folder(pictures, tmp_path / "f", typed, first=own)
+    found = new(photocal, tmp_path / "f")
+    assert any("in US survey foot, taken to EPSG:32634 and metres" in line for line in found["found"])
+    assert not any(line.startswith("crs") for line in found["asked"])
+    with (tmp_path / "f/control.csv").open() as table:
+        placed = {row["point"]: row for row in csv.DictReader(table)}
+    assert placed.keys() == meant.keys()
+    for name, row in placed.items():
+        # Typed to the millimetre of a foot.
+        assert [float(row[axis]) for axis in "XYZ"] == pytest.approx(meant[name], abs=0.001)
+        assert [float(row["s" + axis]) for axis in "XYZ"] == list(ASSUMED)
+
+
 def test_heights_of_precise_positions_ask_for_their_geoid(
     pictures: Path, tmp_path: Path, photocal: Photocal
 ) -> None:
