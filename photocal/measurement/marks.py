@@ -1,6 +1,6 @@
 """Marks of points, by hand or found as targets, and control with its marks, as we and others write them."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -31,8 +31,8 @@ Sigma = tuple[float, float]
 MARK_HEADS = (
     ("image", (*IMAGE_HEADS, "image_name", "imagename", "image_label", "camera", "camera_label")),
     ("point", ("point", "gcp", "gcp_name", "gcp_label", "marker", "marker_label", "label", "ponto", "marco")),
-    ("x", ("x", "u", "image_u", "image_x", "x_px")),
-    ("y", ("y", "v", "image_v", "image_y", "y_px")),
+    ("x", ("x", "u", "image_u", "image_x", "x_px", "pixelx", "pixel_x", "px")),
+    ("y", ("y", "v", "image_v", "image_y", "y_px", "pixely", "pixel_y", "py")),
 )
 # Of our own tables, whose upper-left pixel has its centre at (0, 0).
 _OWN = ("image", "point", "x", "y")
@@ -84,6 +84,7 @@ class ControlMarks:
     without_coordinates: points that have marks but no coordinates: they are left out.
     rows: of the list, where it has one for each mark.
     refused: those that are not used, with the reason.
+    assumed: points whose sigmas nobody states: they are along east, north and up in any system.
     """
 
     crs: str
@@ -92,6 +93,7 @@ class ControlMarks:
     without_coordinates: tuple[str, ...] = ()
     rows: int = 0
     refused: tuple[str, ...] = ()
+    assumed: frozenset[str] = frozenset()
 
 
 def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
@@ -104,7 +106,7 @@ def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks
     crs, places, marks = read_gcp_list(path, _BY_HAND)
     assumed = (sigma_m[0], *sigma_m)
     entries = [PointEntry(name, "control", xyz, assumed) for name, xyz in places.items()]
-    return ControlMarks(crs, object_points(entries), marks)
+    return ControlMarks(crs, object_points(entries), marks, assumed=frozenset(places))
 
 
 def read_typed_list(path: Path, sigma_m: Sigma) -> ControlMarks:
@@ -137,13 +139,14 @@ def read_typed_list(path: Path, sigma_m: Sigma) -> ControlMarks:
     entries = [PointEntry(name, "control", xyz, (sigma_m[0], *sigma_m)) for name, xyz in places.items()]
     rows = len(given) + len(unreadable)
     points = object_points(entries)
-    return ControlMarks(crs, points, tuple(marks.values()), (), rows, tuple(refused))
+    return ControlMarks(crs, points, tuple(marks.values()), (), rows, tuple(refused), frozenset(places))
 
 
 def in_map_system(given: ControlMarks) -> ControlMarks:
-    """Take geographic and geocentric coordinates to the UTM zone of their middle; others stay as they are.
+    """Take geographic and geocentric coordinates, and maps in feet, to the UTM zone of their middle.
 
-    Heights stay as they are; those of geocentric coordinates count from the ellipsoid.
+    Heights stay as they are; those of geocentric coordinates count from the ellipsoid, those of a map in feet
+    are in feet, too.
     """
     from pyproj import Transformer
     from pyproj.aoi import AreaOfInterest
@@ -160,7 +163,9 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
         ) from refusal
     points = given.points
     if system.is_geocentric:
-        system, points = _geographic(system, points)
+        system, points = _geographic(system, points, given.assumed)
+    elif (metres := unit_m(system)) != 1.0:
+        system, points = _of_feet(system, metres, points, given.assumed)
     if not system.is_geographic:
         authority = system.to_authority()
         return replace(given, crs=":".join(authority) if authority else given.crs)
@@ -180,8 +185,33 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
     return replace(given, crs=name, points=replace(points, values=values))
 
 
-def _geographic(system: Any, points: ObjectPoints) -> tuple[Any, ObjectPoints]:
-    """Take geocentric points to longitude, latitude and ellipsoidal height, with sigmas east, north, up."""
+def unit_m(system: Any) -> float:
+    """Metres of the unit of a plane map system; 1 for another kind."""
+    plane = system.is_projected and not system.is_compound
+    return float(system.axis_info[0].unit_conversion_factor) if plane else 1.0
+
+
+def _of_feet(
+    system: Any, metres: float, points: ObjectPoints, assumed: Collection[str]
+) -> tuple[Any, ObjectPoints]:
+    """Take points of a map in feet to longitude, latitude (deg) and height (m); assumed sigmas are in m."""
+    from pyproj import Transformer
+
+    geographic = system.geodetic_crs.to_2d()
+    longitude, latitude = Transformer.from_crs(system, geographic, always_xy=True).transform(
+        points.values[:, 0], points.values[:, 1], errcheck=True
+    )
+    values = np.column_stack([longitude, latitude, points.values[:, 2] * metres])
+    factor = np.where([name in assumed for name in points.names], 1.0, metres)[:, None]
+    cross = None if points.cross is None else points.cross * factor**2
+    return geographic, replace(points, values=values, sigma=points.sigma * factor, cross=cross)
+
+
+def _geographic(system: Any, points: ObjectPoints, assumed: Collection[str]) -> tuple[Any, ObjectPoints]:
+    """Take geocentric points to longitude, latitude and ellipsoidal height, with sigmas east, north, up.
+
+    assumed: points whose sigmas are along these already.
+    """
     from pyproj import CRS, Transformer
     from pyproj.crs import GeographicCRS
     from pyproj.crs.coordinate_system import Ellipsoidal3DCS
@@ -201,6 +231,7 @@ def _geographic(system: Any, points: ObjectPoints) -> tuple[Any, ObjectPoints]:
     turn = enu_axes(values[:, 1], values[:, 0])
     # What only some axes hold or observe has no sigmas along others.
     whole: Flags = np.asarray((np.isfinite(points.sigma) & (points.sigma > 0.0)).all(axis=1))
+    whole &= [name not in assumed for name in points.names]
     cross = np.zeros_like(points.sigma) if points.cross is None else points.cross
     covariance = covariance_matrices(np.where(whole[:, None], points.sigma, 1.0), cross)
     variance = np.einsum("nab,nbc,nac->na", turn, covariance, turn)
@@ -241,11 +272,13 @@ def _marks(chunk: Element, path: Path) -> tuple[Mark, ...]:
 
 def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
     chunk = _chunk(path)
-    entries, bare = [], []
+    entries, bare, assumed = [], [], set()
     for marker in markers(chunk, path).values():
         if marker.role == "tie":
             bare.append(marker.name)
         else:
+            if np.isnan(marker.sigma).all():
+                assumed.add(marker.name)
             stated = zip(marker.sigma, (sigma_m[0], *sigma_m), strict=True)
             entries.append(replace(marker, sigma=[s if s == s else assumed for s, assumed in stated]))
     known = {entry.name for entry in entries}
@@ -256,15 +289,18 @@ def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
         )
     crs = (chunk.findtext("reference") or "").strip()
     local = not crs or crs.startswith("LOCAL_CS")
-    return ControlMarks("local" if local else crs, object_points(entries), marks, tuple(bare))
+    system = "local" if local else crs
+    return ControlMarks(system, object_points(entries), marks, tuple(bare), assumed=frozenset(assumed))
 
 
 def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
     """Marks from the middle of the image, over its longer side."""
     require_readable(path)
     malformed = InputMalformedError.at(path)
+    content: Any = read_json(path)
+    if not isinstance(content, dict) or "points" not in content:
+        raise malformed("is not a ground_control_points.json: it has no points", "is it the right file?")
     try:
-        content: Any = read_json(path)
         entries, bare, marks = [], [], []
         for point in content["points"]:
             name = str(point["id"])
@@ -289,7 +325,8 @@ def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
         ) from failure
     if not entries:
         raise malformed("has no point with coordinates", "is it the right file?")
-    return ControlMarks("EPSG:4326", object_points(entries), tuple(marks), tuple(bare))
+    points = object_points(entries)
+    return ControlMarks("EPSG:4326", points, tuple(marks), tuple(bare), assumed=frozenset(points.names))
 
 
 def read_any_marks(path: Path, sizes: Mapping[str, tuple[int, int]]) -> tuple[Mark, ...]:

@@ -38,10 +38,12 @@ _LONGITUDE, _LATITUDE = ("lon", "long", "longitude"), ("lat", "latitude")
 _HEIGHT = (
     "z", "h", "height", "elevation", "altitude", "alt", "elev", "cota", "elevação", "altura",
     "ellipsoidal height", "ellipsoidal_height", "orthometric height", "altitude elipsoidal",
+    "ortho. height", "ellip. height", "altitude ortométrica", "altitude geométrica", "elevación", "altitud",
+    "höhe", "hoehe", "z/altitude",
 )  # fmt: skip
 _METRES = {
-    "X": ("x", "e", "east", "easting", "este", "leste"),
-    "Y": ("y", "n", "north", "northing", "norte"),
+    "X": ("x", "e", "east", "easting", "este", "leste", "coordenada e", "rechtswert", "ost", "x/easting"),
+    "Y": ("y", "n", "north", "northing", "norte", "coordenada n", "hochwert", "nord", "y/northing"),
 }
 _DEGREES = {"X": _LONGITUDE, "Y": _LATITUDE}
 PLACE_HEADS = {

@@ -13,7 +13,7 @@ from photocal.base.arrays import Integers
 from photocal.base.errors import InputNotFoundError, PhotocalError
 from photocal.base.text_tables import TextTable, read_under
 from photocal.block.model import ROLES, Block, ObjectPoints
-from photocal.exchange.parts import Mark, PointEntry, object_points, require_unique
+from photocal.exchange.parts import Mark, PointEntry, object_points
 from photocal.exchange.source import number, read_lines
 from photocal.geometry.camera import Camera
 from photocal.measurement.image_facts import ImageFacts, read_facts
@@ -33,10 +33,13 @@ from photocal.measurement.position_files import PLACE_HEADS, UnbelievableListErr
 ASSUMED_M = (0.02, 0.03)
 # Heads of columns as people write them.
 HEADS = {
-    "point": ("point", "ponto", "name", "nome", "id", "label", "gcp", "marco", "vertice", "vértice"),
+    "point": (
+        "point", "ponto", "name", "nome", "label", "gcp", "marco", "vertice", "vértice", "point id",
+        "point_id", "punto", "nombre", "punkt", "punktnummer", "punkt-id", "id",
+    ),
     **PLACE_HEADS,
     "role": ("role", "tipo", "type", "uso"),
-}
+}  # fmt: skip
 # Of a table with a row for each mark: x and y are those of the marks, or marks have other heads.
 _IN_IMAGE = {key: words for key, words in MARK_HEADS if key != "point"}
 _MARKED_HEADS = (
@@ -50,6 +53,8 @@ _RINEX = (".obs", ".nav", ".rnx")
 # Who speaks of pictures does so at once.
 _HEAD_BYTES = 1 << 16
 Sizes = dict[str, tuple[int, int]]
+# What tells a table of places: its first rows, and what a number is, with a decimal point or comma.
+_FIRST_ROWS, _NUMBER = 20, re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
 # Files of a project, by their programs.
 _COMPUTED = {
     "Pix4D": (
@@ -67,13 +72,14 @@ class ControlFile:
     crs: "local" without one, else as the file calls it; empty when it does not say.
     cameras: where another program's set-up has them.
     rows, refused: of a list with a row for each mark: how many, and those that cannot be used.
+    assumed: points whose sigmas nobody states.
     """
 
     file: Path
     crs: str = ""
     points: ObjectPoints | None = None
     marks: tuple[Mark, ...] = ()
-    assumed: bool = False
+    assumed: frozenset[str] = frozenset()
     cameras: tuple[Camera, ...] = ()
     rows: int = 0
     refused: tuple[str, ...] = ()
@@ -211,27 +217,47 @@ def _control(path: Path, sizes: Sizes, unread: list[str]) -> ControlFile | None:
     refusals = []
     for read in _READERS[path.suffix.lower()]:
         try:
-            return read(path, sizes)
+            control = read(path, sizes)
         except PhotocalError as refusal:
             refusals.append(refusal)
+            continue
+        if control.rows:
+            return control
+        unread += control.refused
+        return replace(control, refused=())
     words = ("gcp", "control", "controle", "pontos", "points", "marks", "apoio", "check")
     cells = set(re.split(r"[\s,;\"]+", path.read_bytes()[:_HEAD_BYTES].decode("latin-1")))
     named = any(name in cells or Path(name).stem in cells for name in sizes)
-    if refusals and (named or any(word in path.stem.lower() for word in words)):
-        unread.append(str(refusals[0]))
+    headed, lists_places = _seems_a_table(path) if path.suffix.lower() in _TABLES else (False, False)
+    if refusals and (named or lists_places or any(word in path.stem.lower() for word in words)):
+        # What heads its columns is no list of ODM's.
+        unread.append(str(refusals[_READERS[path.suffix.lower()].index(_table)] if headed else refusals[0]))
     return None
+
+
+def _seems_a_table(path: Path) -> tuple[bool, bool]:
+    """Whether a text has a line of words before its rows, and whether these name a thing and its place."""
+    try:
+        lines = read_lines(path)[:_FIRST_ROWS]
+    except PhotocalError:
+        return False, False
+    rows = [re.split(r"[\t;]+| *, +|,(?!\d)| +", line.text.strip()) for line in lines]
+    count = [sum(_NUMBER.fullmatch(cell.strip('"')) is not None for cell in row) for row in rows]
+    headed = len(rows) > 1 and len(rows[0]) > 3 and count[0] == 0
+    # East and north.
+    least = 2
+    return headed, len(rows) > headed and min(count[headed:], default=0) >= least
 
 
 def _one_file(path: Path, sizes: Sizes) -> ControlFile:
     given: ControlMarks = read_control_marks(path, ASSUMED_M, sizes)
-    return ControlFile(path, given.crs, given.points, given.marks, assumed=path.suffix.lower() != ".xml")
+    return ControlFile(path, given.crs, given.points, given.marks, given.assumed)
 
 
 def _typed_list(path: Path, _: Sizes) -> ControlFile:
     given = read_typed_list(path, ASSUMED_M)
-    return ControlFile(
-        path, given.crs, given.points, given.marks, assumed=True, rows=given.rows, refused=given.refused
-    )
+    rows, refused = given.rows, given.refused
+    return ControlFile(path, given.crs, given.points, given.marks, given.assumed, rows=rows, refused=refused)
 
 
 def _other_program(path: Path, _: Sizes) -> ControlFile:
@@ -268,7 +294,8 @@ def _micmac(path: Path, _: Sizes) -> ControlFile:
     assumed = all(sigma == PLACEHOLDER for point in ground for sigma in point.sigma)
     if assumed:
         ground = tuple(replace(point, sigma=(ASSUMED_M[0], *ASSUMED_M)) for point in ground)
-    return ControlFile(path, "local", object_points(ground), assumed=assumed)
+    points = object_points(ground)
+    return ControlFile(path, "local", points, assumed=frozenset(points.names if assumed else ()))
 
 
 def _table(path: Path, sizes: Sizes) -> ControlFile:
@@ -278,7 +305,17 @@ def _table(path: Path, sizes: Sizes) -> ControlFile:
             table = read_under(path, heads, ("point", *"XYZ", *_IN_IMAGE))
             return _of_marked_table(table, sizes, in_degrees(path, besides=_IN_IMAGE["x"] + _IN_IMAGE["y"]))
     table = read_under(path, HEADS, ("point", *"XYZ"))
-    return _of_table(table, table.unique_names("point"), np.arange(len(table)), in_degrees(path))
+    index, names = table.names("point")
+    first = np.unique(index, return_index=True)[1]
+    places = table.matrix("XYZ")
+    again = [row for row in range(len(table)) if first[index[row]] != row]
+    refused = tuple(
+        _again(
+            table.place(row), names[index[row]], same=bool((places[row] == places[first[index[row]]]).all())
+        )
+        for row in again
+    )
+    return replace(_of_table(table, names, first, in_degrees(path)), refused=refused)
 
 
 def _of_marked_table(table: TextTable, sizes: Sizes, degrees: bool) -> ControlFile:
@@ -323,28 +360,45 @@ def _of_table(table: TextTable, names: tuple[str, ...], rows: Integers, degrees:
     sigma[np.array(roles) == "check"] = np.where(stated, sigma[np.array(roles) == "check"], np.inf)
     role = np.array([ROLES.index(name) for name in roles], dtype=np.int64)
     points = ObjectPoints(names, places, sigma, role)
-    return ControlFile(table.path, "EPSG:4326" if degrees else "", points, assumed=not stated)
+    system = "EPSG:4326" if degrees else ""
+    return ControlFile(table.path, system, points, assumed=frozenset(() if stated else names))
 
 
 def _bare_table(path: Path, sizes: Sizes) -> ControlFile:
-    """Points without a head: name, east, north, height, as many programs export them."""
+    """Points without a head, or with one between blanks: name, east, north, height, as many export them."""
     pictures = {called.casefold() for name in sizes for called in (name, Path(name).stem)}
     # Coordinates of a cloud, times of a track.
-    entries, no_name = list[PointEntry](), re.compile(r"[-+]?\d*[.,]\d+|\d+:.*")
-    for line in read_lines(path):
+    entries, no_name = dict[str, PointEntry](), re.compile(r"[-+]?\d*[.,]\d+|\d+:.*")
+    refused = list[str]()
+    lines = read_lines(path)
+    heads = [cell.casefold() for cell in lines[0].text.split()] if lines else []
+    order = [next((k for k, cell in enumerate(heads) if cell in HEADS[key]), -1) for key in ("point", *"XYZ")]
+    if min(order) < 0:
+        order = list(range(4))
+    else:
+        lines = lines[1:]
+    for line in lines:
         between = next((mark for mark in "\t;," if line.text.count(mark) >= 3), None)
-        name, *cells = (cell.strip().strip('"') for cell in line.text.split(between))
+        given = [cell.strip().strip('"') for cell in line.text.split(between)]
+        name, *cells = (given[k] for k in order) if len(given) > max(order) else given
         taken = name.casefold() in pictures or Path(name).suffix.lower() in SUFFIXES
         if len(cells) < 3 or taken or no_name.fullmatch(name):
             raise line.malformed("has no name, east, north and height of a point")
         if between != ",":
             cells = [cell.replace(",", ".") for cell in cells]
         xyz = [number(cell, line.place, "coordinate") for cell in cells[:3]]
-        entries.append(PointEntry(name, "control", xyz, (ASSUMED_M[0], *ASSUMED_M)))
+        if name in entries:
+            refused.append(_again(line.place, name, same=entries[name].xyz == xyz))
+        else:
+            entries[name] = PointEntry(name, "control", xyz, (ASSUMED_M[0], *ASSUMED_M))
     if not entries:
         raise InputNotFoundError("has no points", where=path)
-    require_unique([entry.name for entry in entries], "point", path)
-    return ControlFile(path, "", object_points(entries), assumed=True)
+    points = object_points(entries.values())
+    return ControlFile(path, "", points, assumed=frozenset(points.names), refused=tuple(refused))
+
+
+def _again(place: object, name: str, *, same: bool) -> str:
+    return f"{place}: {name} is listed twice" + ("" if same else ", with other coordinates before")
 
 
 def _marks(path: Path, sizes: Sizes) -> ControlFile:

@@ -24,7 +24,7 @@ from photocal.measurement.mark_frames import (
     choose_frame,
     inside,
 )
-from photocal.measurement.marks import ControlMarks, in_map_system, named_after
+from photocal.measurement.marks import ControlMarks, in_map_system, named_after, unit_m
 from photocal.measurement.position_files import map_places
 from photocal.run.folder_survey import ControlFile
 from photocal.run.project_checks import FAR_FROM_PICTURES_M, FREED, check_place, unfit
@@ -47,6 +47,7 @@ class NewProject:
     offers: frames that a person may choose from, where it is not plain that they are the stored ones.
     rows, rows_used: of a list with a row for each mark.
     refused: its rows that are not used, with the reason.
+    assumed: points whose sigmas nobody states.
     """
 
     points: ObjectPoints = NO_POINTS
@@ -59,6 +60,7 @@ class NewProject:
     rows: int = 0
     rows_used: int = 0
     refused: list[str] = field(default_factory=list)
+    assumed: frozenset[str] = frozenset()
     known: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     doubtful: list[str] = field(default_factory=list)
@@ -107,7 +109,8 @@ def settle(
     placed = [image for image in facts if image.has_position]
     made = NewProject(crs=told.crs, height=told.height)
     if given is not None and given.points is not None:
-        made.points, made.rows, made.refused = given.points, given.rows, list(given.refused)
+        made.points, made.assumed = given.points, given.assumed
+        made.rows, made.refused = given.rows, list(given.refused)
         _with_marks(made, given, told, facts, folder)
     matters = bool(placed) or flown
     # Nothing that is asked may be of no use.
@@ -277,7 +280,8 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
             points = replace(points, values=points.values[:, [1, 0, 2]])
             made.known.append("control: latitude stands before longitude, as the pictures' positions show")
         try:
-            moved = in_map_system(ControlMarks(text, points, ())) if len(xy) else None
+            listed_there = ControlMarks(text, points, (), assumed=made.assumed)
+            moved = in_map_system(listed_there) if len(xy) else None
         except PhotocalError as refusal:
             made.asked.append(f"crs: {refusal}")
             return ""
@@ -288,11 +292,8 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
             made.asked.append(f'crs: {text!r}{wrong}: write a map system (such as "EPSG:31982"), {_LOCAL}')
             return ""
         made.points = moved.points
-        if system.is_geocentric:
-            made.height = "ellipsoidal"
-            made.known.append(
-                f"control: geocentric coordinates, taken to {moved.crs} and ellipsoidal heights"
-            )
+        made.height = "ellipsoidal" if system.is_geocentric else made.height
+        made.known += _moved(system, moved.crs)
         return moved.crs
     offers = called(text, xy if len(xy) else None)
     if len(offers) == 1 and is_meant(text, offers[0]):
@@ -308,6 +309,16 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
         return "local"
     made.asked.append(f"crs: what is {text!r}?{_offered(offers, ' write EPSG:n')}, {_LOCAL}")
     return ""
+
+
+def _moved(system: Any, crs: str) -> list[str]:
+    """Say that points were taken to another kind of system, or to another unit."""
+    if system.is_geocentric:
+        return [f"control: geocentric coordinates, taken to {crs} and ellipsoidal heights"]
+    if unit_m(system) != 1.0:
+        unit = system.axis_info[0].unit_name
+        return [f"control: coordinates in {unit}, taken to {crs} and metres, heights as well"]
+    return []
 
 
 def _offered(offers: Sequence[MapSystem], example: str = "") -> str:

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from pyproj import Transformer
 
@@ -18,7 +19,7 @@ from photocal.measurement.marks import read_marks
 from photocal.project import read_project
 from photocal.run.project_checks import check_project
 from tests.photocal.conftest import Answer
-from tests.photocal.run.typed_site import CRS, Row, resized, site_folder
+from tests.photocal.run.typed_site import CRS, MIDDLE, Row, resized, site_folder
 
 WIDTH, HEIGHT = 480, 360
 # How viewers show a stored mark, by the EXIF standard, in pixels from the edges.
@@ -27,6 +28,8 @@ SHOWN = {
     6: lambda x, y: (HEIGHT - y, x),
     8: lambda x, y: (y, WIDTH - x),
 }
+# Sigmas of control of which nobody states any, m.
+ASSUMED = (0.02, 0.02, 0.03)
 
 
 Photocal = Callable[..., Answer]
@@ -276,10 +279,63 @@ def test_geocentric_control_comes_to_a_map(pictures: Path, tmp_path: Path, photo
     project = read_project(tmp_path / "f/project.toml")
     assert (project.crs, project.height) == ("EPSG:32634", "ellipsoidal")
     with (tmp_path / "f/control.csv").open() as table:
-        placed = {row["point"]: [float(row[axis]) for axis in "XYZ"] for row in csv.DictReader(table)}
+        placed = {row["point"]: row for row in csv.DictReader(table)}
     assert placed.keys() == meant.keys()
-    for name, place in placed.items():
-        assert place == pytest.approx(meant[name], abs=0.002)
+    for name, row in placed.items():
+        assert [float(row[axis]) for axis in "XYZ"] == pytest.approx(meant[name], abs=0.002)
+        # Nobody has stated them: they are along the axes of a map whatever those of the list are.
+        assert [float(row["s" + axis]) for axis in "XYZ"] == list(ASSUMED)
+
+
+def test_stated_sigmas_of_geocentric_control_are_turned(
+    pictures: Path, tmp_path: Path, photocal: Photocal
+) -> None:
+    """Two metres along the earth's axis are 2 cos(latitude) to the north and 2 sin(latitude) upwards."""
+    there = Transformer.from_crs(CRS, "EPSG:4978", always_xy=True)
+    meant = {row.name: row.place for row in site_folder(pictures, tmp_path / "f")}
+    (tmp_path / "f/gcp_list.txt").unlink()
+    table = ["point,X,Y,Z,sX,sY,sZ"]
+    for name, place in meant.items():
+        x, y, z = there.transform(*place)
+        table.append(f"{name},{x:.4f},{y:.4f},{z:.4f},0.001,0.001,2")
+    (tmp_path / "f/points.csv").write_text("\n".join(table) + "\n")
+    new(photocal, tmp_path / "f", "--crs", "EPSG:4978")
+    degrees = Transformer.from_crs(CRS, "EPSG:4326", always_xy=True).transform(*MIDDLE[:2])
+    latitude = np.radians(degrees[1])
+    with (tmp_path / "f/control.csv").open() as written:
+        rows = list(csv.DictReader(written))
+    assert [row["point"] for row in rows] == list(meant)
+    for row in rows:
+        assert float(row["sX"]) == pytest.approx(0.001, rel=1e-3)
+        assert float(row["sY"]) == pytest.approx(2 * np.cos(latitude), rel=1e-4)
+        assert float(row["sZ"]) == pytest.approx(2 * np.sin(latitude), rel=1e-4)
+
+
+def test_control_of_a_map_in_feet_comes_to_metres(pictures: Path, tmp_path: Path, photocal: Photocal) -> None:
+    """EPSG:2180 with a unit of its own: 1200/3937 m, the US survey foot, by its definition."""
+    foot = 1200 / 3937
+    feet = Transformer.from_crs(CRS, "EPSG:32634", always_xy=True)
+    meant: dict[str, tuple[float, ...]] = {}
+
+    def typed(rows: list[Row]) -> list[Row]:
+        meant.update({row.name: (*feet.transform(*row.place[:2]), row.place[2]) for row in rows})
+        return [
+            replace(row, place=(row.place[0] / foot, row.place[1] / foot, row.place[2] / foot))
+            for row in rows
+        ]
+
+    own = "+proj=tmerc +lat_0=0 +lon_0=19 +k=0.9993 +x_0=500000 +y_0=-5300000 +ellps=GRS80 +units=us-ft"
+    site_folder(pictures, tmp_path / "f", typed, first=own)
+    found = new(photocal, tmp_path / "f")
+    assert any("in US survey foot, taken to EPSG:32634 and metres" in line for line in found["found"])
+    assert not any(line.startswith("crs") for line in found["asked"])
+    with (tmp_path / "f/control.csv").open() as table:
+        placed = {row["point"]: row for row in csv.DictReader(table)}
+    assert placed.keys() == meant.keys()
+    for name, row in placed.items():
+        # Typed to the millimetre of a foot.
+        assert [float(row[axis]) for axis in "XYZ"] == pytest.approx(meant[name], abs=0.001)
+        assert [float(row["s" + axis]) for axis in "XYZ"] == list(ASSUMED)
 
 
 def test_heights_of_precise_positions_ask_for_their_geoid(
