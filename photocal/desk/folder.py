@@ -177,6 +177,7 @@ def _new(desk: Desk, crs: Short = "", height: Short = "", marks: Short = "") -> 
     ):
         arguments += [name, value] if value else []
     arguments += ["--again"] if desk.file.is_file() else []
+    arguments += ["--lang", desk.language] if desk.language != "en" else []
     with desk.lock:
         answer = asked(arguments)
         (desk.folder / FOLDER).mkdir(exist_ok=True)

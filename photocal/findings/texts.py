@@ -22,7 +22,7 @@ from photocal.findings.finding import Finding
 
 LANGUAGES = ("en", "pt-BR")
 # Their sections may add to each other, their keys are all different.
-CATALOGUES = ("findings", "report", "analysis", "verdict", "terminal")
+CATALOGUES = ("findings", "report", "analysis", "verdict", "terminal", "new")
 
 
 @dataclass(frozen=True)
