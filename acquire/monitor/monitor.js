@@ -8,6 +8,7 @@ const RETRY_MS = 1000;
 const feed = {
   source: null,
   view: null,
+  written: {}, // the debrief
   last: Date.now(), // when it spoke last
   tried: 0,
 
@@ -48,14 +49,16 @@ const feed = {
   },
 };
 
-// What a debrief of the pictures has written, in its own words.
+// What a debrief of the pictures has written, in the page's language; older ones have written English alone.
 function debrief(written) {
+  feed.written = written;
+  const own = written[speech.language] ?? written.en ?? {};
   const box = $("debrief");
-  box.hidden = !written.verdict;
-  box.querySelector("p").textContent = written.verdict ?? "";
+  box.hidden = !own.verdict;
+  box.querySelector("p").textContent = own.verdict ?? "";
   const lines = (texts) => (texts ?? []).map((text) => make("li", "", text));
-  box.querySelector(".findings").replaceChildren(...lines(written.findings));
-  box.querySelector(".summary").replaceChildren(...lines(written.summary?.map(told)));
+  box.querySelector(".findings").replaceChildren(...lines(own.findings));
+  box.querySelector(".summary").replaceChildren(...lines(own.summary?.map(told)));
 }
 
 $("sound").addEventListener("click", () => sound.toggle());
@@ -65,6 +68,7 @@ $("language").addEventListener("click", () => {
   sound.draw();
   alarms.draw();
   if (feed.view) show(feed.view);
+  debrief(feed.written);
   map.tell();
 });
 handleMap();

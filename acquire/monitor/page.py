@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import json
 from collections.abc import AsyncIterator, Callable, Sequence
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +80,7 @@ class Latest:
                 path.write_text(str(self._heard_ns), encoding="ascii")
 
     def debrief(self) -> dict[str, Any]:
-        """What a debrief has written: verdict, figures and findings in words; empty while there is none.
+        """What a debrief has written, by language: verdict, figures and findings; empty while there is none.
 
         In flight it holds the pictures that have come against those that the cameras have reported.
         """
@@ -87,12 +88,24 @@ class Latest:
             return {}
         try:
             content = json.loads(self._debrief.read_text(encoding="utf-8"))
-            findings = [row["text"] for row in content["findings"] if row["severity"] not in _PASSED]
-            summary = list(content.get("summary", ()))
+            english = {
+                "verdict": content["verdict"]["text"],
+                "summary": content.get("summary", []),
+                "findings": [row["text"] for row in content["findings"]],
+            }
+            told = [row["severity"] not in _PASSED for row in content["findings"]]
+            come = list[str]()
             reported = sum(counted.feedbacks for counted in self.state.exposures.values())
             if "live" in content and reported:
-                summary.insert(0, f"{len(content['pictures'])} of {reported} reported pictures have come")
-            return {"verdict": content["verdict"]["text"], "summary": summary, "findings": findings}
+                come = [f"{len(content['pictures'])} of {reported} reported pictures have come"]
+            return {
+                language: {
+                    "verdict": said["verdict"],
+                    "summary": [*come, *said["summary"]],
+                    "findings": [*compress(said["findings"], told)],
+                }
+                for language, said in {"en": english, **content.get("said", {})}.items()
+            }
         except (OSError, ValueError, LookupError, TypeError):
             return {}
 

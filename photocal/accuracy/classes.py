@@ -9,6 +9,7 @@ import numpy as np
 from photocal.accuracy import statistics
 from photocal.accuracy.standard import ClassLimit, LimitTable, Question, ValueStandard
 from photocal.base.arrays import Floats
+from photocal.findings.texts import Catalogue
 
 
 @dataclass(frozen=True)
@@ -225,28 +226,30 @@ def _with_survey(product: Sample | None, survey_m: float | None) -> float | None
     return None if product is None else math.hypot(product.rmse_m, survey_m or 0.0)
 
 
-def condition(value: ValueClass) -> str:
+def condition(value: ValueClass, say: Catalogue) -> str:
     """Say what a class stands on: a class is tested with as many points as the standard asks for."""
     n, required = min(value.counts, default=0), int(value.standard.minimum_points.value)
-    parts = [f"{n} check points: tested"]
+    parts = [say("assessed.tested", n=n)]
     if not value.enough_points:
-        parts = [f"{n} of {required} check points: stated, not tested"]
+        parts = [say("assessed.stated", n=n, required=required)]
     survey = (
         (value.horizontal_m, value.survey_included_horizontal),
         (value.vertical_m, value.survey_included_vertical),
     )
     if any(rmse is not None and not included for rmse, included in survey):
-        parts.append("without the accuracy of the survey")
+        parts.append(say("assessed.without_survey"))
     return ", ".join(parts)
 
 
-def value_class_text(value: ValueClass) -> str:
+def value_class_text(value: ValueClass, say: Catalogue) -> str:
     """Write the class reached, and what it stands on."""
     parts = (
-        ("horizontal", value.horizontal_m),
-        ("vertical (NVA)", value.vertical_m),
-        ("VVA", value.vegetated_m),
-        ("3D", value.spatial_m),
+        (say("assessed.horizontal"), value.horizontal_m),
+        (say("assessed.vertical"), value.vertical_m),
+        (say("assessed.vegetated"), value.vegetated_m),
+        (say("assessed.space"), value.spatial_m),
     )
-    reached = ", ".join(f"{name} {class_cm(rmse):.1f} cm" for name, rmse in parts if rmse is not None)
-    return f"{reached} ({condition(value)})"
+    reached = ", ".join(
+        f"{name} {say.fixed(class_cm(rmse), 1)} cm" for name, rmse in parts if rmse is not None
+    )
+    return f"{reached} ({condition(value, say)})"

@@ -108,7 +108,7 @@ def value_record(value: classes.ValueClass) -> dict[str, Any]:
         "survey_included": picked(value, **included),
         "required_points": int(value.standard.minimum_points.value),
         "points": min(value.counts, default=0),
-        "condition": classes.condition(value),
+        "condition": classes.condition(value, catalogue("en")),
     }
 
 
@@ -129,8 +129,7 @@ def to_text(assessment: Assessment, say: Catalogue | None = None) -> str:
         parts.append(Paragraph(say("assessed.similarity", **marked(figures, say))))
     for result in assessment.tables:
         parts += standard_parts(result, say)
-    for value in assessment.values:
-        parts.append(Paragraph(f"{value.standard.title}: {classes.value_class_text(value)}"))
+    parts += _reached(assessment, say)
     return text([Section("", (*parts, remarks(findings(assessment), say)))])
 
 
@@ -211,7 +210,7 @@ def _bias_cells(component: ComponentResult, say: Catalogue) -> tuple[str, str, s
 
 def standard_parts(result: TableResult, say: Catalogue) -> list[Piece]:
     """Write one table of a standard."""
-    title = f"{result.standard_title}: {result.table.product}"
+    title = f"{say.term(result.standard_title)}: {say.term(result.table.product)}"
     parts: list[Piece] = [] if result.size is None else [_decisions(result, title, result.size, say)]
     parts.append(_smallest(result, title, say))
     if result.table.second_hand:
@@ -340,27 +339,34 @@ def moments_record(judged: Mapping[str, Assessment]) -> dict[str, Any]:
     }
 
 
-def moments_text(judged: Mapping[str, Assessment]) -> str:
+def moments_text(judged: Mapping[str, Assessment], say: Catalogue) -> str:
     """Write assessments of moments for people: figures in m."""
-    return text([Section(f"set {name}" if name else "", _pieces(one)) for name, one in judged.items()])
+    named = [(say("assessed.set", name=name) if name else "", one) for name, one in judged.items()]
+    return text([Section(title, _pieces(one, say)) for title, one in named])
 
 
-def _pieces(one: Assessment) -> tuple[Piece, ...]:
-    heads = ("", "n", "mean", "std (n-1)", "RMSE", "without trend", "t", "limit", "bias")
+def _pieces(one: Assessment, say: Catalogue) -> tuple[Piece, ...]:
     rows = [
         (
             f"d{part.name}",
             str(part.moments.n),
             f"{part.moments.mean_m:+.3f}",
             *map(_metres, (part.moments.std_m, part.moments.rmse_m, part.rmse_after_trend_removal_m)),
-            *_bias_cells(part, catalogue("en")),
+            *_bias_cells(part, say),
         )
         for part in one.components
     ]
-    level = one.question.confidence
-    head = f"moments as printed; discrepancies are {SIGN}, in metres; tests at {level:.0%}."
-    parts: list[Piece] = [Paragraph(head), table("Moments", heads, rows)]
+    head = say("assessed.head_moments", sign=say("shown.sign"), level=f"{one.question.confidence:.0%}")
+    heads = say("assessed.moments_heads").split("|")
+    parts: list[Piece] = [Paragraph(head), table(say("assessed.moments"), heads, localised(rows, say))]
     for result in one.tables:
-        parts += standard_parts(result, catalogue("en"))
-    parts += [Paragraph(f"{v.standard.title}: {classes.value_class_text(v)}") for v in one.values]
-    return tuple(parts)
+        parts += standard_parts(result, say)
+    return (*parts, *_reached(one, say))
+
+
+def _reached(one: Assessment, say: Catalogue) -> list[Piece]:
+    """Classes that are values, each in a line."""
+    return [
+        Paragraph(f"{say.term(value.standard.title)}: {classes.value_class_text(value, say)}")
+        for value in one.values
+    ]

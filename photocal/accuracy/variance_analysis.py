@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 from scipy import special
 
+from photocal.accuracy.output import localised
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.policy import policy
 from photocal.base.text_tables import read_wider_table
 from photocal.findings.document import Section, TablePart, table, text
+from photocal.findings.texts import Catalogue
 
 SCHEMA = "photocal.variance-analysis/1"
 RESIDUAL = "residual"
@@ -129,20 +131,21 @@ def analyse_table(path: Path) -> dict[str, tuple[VarianceEffect, ...]]:
     return {name: analyse_variance(factors, column) for name, column in values.items()}
 
 
-def variance_tables(analysed: Mapping[str, tuple[VarianceEffect, ...]]) -> list[TablePart]:
+def variance_tables(analysed: Mapping[str, tuple[VarianceEffect, ...]], say: Catalogue) -> list[TablePart]:
     """Write each analysis as people know it."""
-    heads = ("", "degrees of freedom", "sum of squares", "share", "F", "p", "<")
+    heads = say("assessed.variance_heads").split("|")
     parts = []
     for value, effects in analysed.items():
         rows = []
         for one in effects:
-            row = (one.name, str(one.degrees_of_freedom), f"{one.sum_of_squares:.4g}", f"{one.share:.1%}")
+            name = say("assessed.residual") if one.name == RESIDUAL else one.name
+            row = (name, str(one.degrees_of_freedom), f"{one.sum_of_squares:.4g}", f"{one.share:.1%}")
             tested = one.name != RESIDUAL
             ends = (
                 (f"{one.f:.3g}", f"{one.p_value:.2g}", "*" if one.significant else "") if tested else [""] * 3
             )
             rows.append((*row, *ends))
-        parts.append(table(f"analysis of variance of {value} (* at 5 %)", heads, rows))
+        parts.append(table(say("assessed.variance", value=value), heads, localised(rows, say)))
     return parts
 
 
@@ -157,6 +160,6 @@ def variance_record(analysed: Mapping[str, tuple[VarianceEffect, ...]]) -> dict[
     }
 
 
-def variance_text(analysed: Mapping[str, tuple[VarianceEffect, ...]]) -> str:
+def variance_text(analysed: Mapping[str, tuple[VarianceEffect, ...]], say: Catalogue) -> str:
     """Write all of them for people."""
-    return text([Section("", tuple(variance_tables(analysed)))])
+    return text([Section("", tuple(variance_tables(analysed, say)))])

@@ -132,21 +132,21 @@ def judge_product(
     return to_json(result, told.stored) | more, "\n".join([to_text(result, told.say), *remarks])
 
 
-def judge_moments(path: Path, standards: tuple[Standard, ...], question: Question) -> Judged:
+def judge_moments(path: Path, standards: tuple[Standard, ...], question: Question, say: Catalogue) -> Judged:
     """Judge products of which only moments were printed."""
     from photocal.accuracy.assessment import assess_moments
     from photocal.accuracy.output import moments_record, moments_text, read_moments
 
     made = {name: assess_moments(one, standards, question) for name, one in read_moments(path).items()}
-    return moments_record(made), moments_text(made)
+    return moments_record(made), moments_text(made, say)
 
 
-def judge_variance(path: Path) -> Judged:
+def judge_variance(path: Path, say: Catalogue) -> Judged:
     """Tell which factors of a printed experiment move its errors."""
     from photocal.accuracy.variance_analysis import SCHEMA, analyse_table, variance_record, variance_text
 
     analysed = analyse_table(path)
-    return {"schema": SCHEMA, "variance": variance_record(analysed)}, variance_text(analysed)
+    return {"schema": SCHEMA, "variance": variance_record(analysed)}, variance_text(analysed, say)
 
 
 def judge_block(
@@ -213,7 +213,7 @@ def with_project(path: Path, question: Question) -> tuple[Project, Question]:
     return project, replace(question_of(project), **asked)
 
 
-def judge_experiment(path: Path, output: Path | None) -> Judged:
+def judge_experiment(path: Path, output: Path | None, told: Told) -> Judged:
     """Run an experiment with interior orientations and control patterns."""
     from photocal.exchange.formats import read_any_block
     from photocal.georeferencing.experiment import read_experiment, run_experiment
@@ -224,10 +224,10 @@ def judge_experiment(path: Path, output: Path | None) -> Judged:
         outcome = run_experiment(asked, lambda: advance(1))
     if output is not None:
         write_experiment(outcome, output)
-    return to_json(outcome), _with_place(to_text(outcome), output)
+    return to_json(outcome), _with_place(to_text(outcome, told.say), output, told)
 
 
-def judge_numbers(source: Path, counts: str, output: Path | None) -> Judged:
+def judge_numbers(source: Path, counts: str, output: Path | None, told: Told) -> Judged:
     """Repeat the adjustment with several numbers of control points."""
     from photocal.accuracy.maps import save_figures
     from photocal.base.files import output_folder, write_json
@@ -247,14 +247,11 @@ def judge_numbers(source: Path, counts: str, output: Path | None) -> Judged:
         with output_folder(output) as folder:
             write_json(folder / "control_numbers.json", figures)
             save_figures(folder, {"control_numbers.pdf": control_plot(outcome)})
-    return figures, _with_place(numbers_text(figures), output)
+    return figures, _with_place(numbers_text(figures, told.say), output, told)
 
 
-def _with_place(text: str, output: Path | None, told: Told | None = None) -> str:
-    if output is None:
-        return text
-    written = f"written to {output}" if told is None else told.say("shown.written", place=output)
-    return f"{text}\n{written}"
+def _with_place(text: str, output: Path | None, told: Told) -> str:
+    return text if output is None else f"{text}\n{told.say('shown.written', place=output)}"
 
 
 def _interiors(path: Path) -> tuple[Camera, ...]:
@@ -310,15 +307,15 @@ def check(
     question, standards, told = judgement.question(), judgement.standards(), Told(language, details)
     at = replace(maps, figures=maps.figures or output)
     if other.experiment is not None:
-        judged = judge_experiment(other.experiment, output)
+        judged = judge_experiment(other.experiment, output, told)
     elif block is not None:
         judged = _of_block(block, output, judgement, maps, repetition, told)
     elif repetition.control_numbers is not None:
         raise ConfigurationError("--control-numbers needs a block", "name a block or project")
     elif other.moments is not None:
-        judged = judge_moments(other.moments, standards, question)
+        judged = judge_moments(other.moments, standards, question, told.say)
     elif other.variance is not None:
-        judged = judge_variance(other.variance)
+        judged = judge_variance(other.variance, told.say)
     elif other.discrepancies is not None:
         from photocal.accuracy.discrepancies import read_discrepancies
 
@@ -348,7 +345,7 @@ def _of_block(
         judgement = replace(judgement, standard=tuple(named))
     standards = judgement.standards()
     if repetition.control_numbers is not None:
-        return judge_numbers(block, repetition.control_numbers, output)
+        return judge_numbers(block, repetition.control_numbers, output, told)
     noise = repetition.noise()
     return judge_block(block, output, standards, question, noise, maps.crs, on_the_job=on_the_job, told=told)
 

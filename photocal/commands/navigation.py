@@ -51,6 +51,7 @@ def exposures(
     options: ExposureOptions,
     receivers: ReceiverOptions,
     lever_arm: Annotated[str | None, typer.Option(hidden=True)] = None,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Compute position and attitude of every exposure, with covariances, and check them.
@@ -60,6 +61,7 @@ def exposures(
 
     Example: `photocal exposures FLIGHT.mcap --images DIR -o exposures`
     """
+    from photocal.findings.texts import catalogue, spoken
     from photocal.navigation.exposure_run import exposures_text
     from photocal.navigation.steps import exposures as computed
 
@@ -70,7 +72,7 @@ def exposures(
             where="--lever-arm",
         )
     figures = computed(flight or (), receivers=receivers, options=options).write(output)
-    answer(as_json, lambda: figures, lambda: exposures_text(figures))
+    answer(as_json, lambda: figures, lambda: exposures_text(figures, catalogue(spoken(language))))
 
 
 def survey(

@@ -38,18 +38,22 @@ def new(
     again: Annotated[
         bool, option("Keep the answers and comments of project.toml and add new findings.", "--again")
     ] = False,
+    language: Language = "",
     as_json: Annotated[bool, option("Print what was found as JSON.", "--json")] = False,
 ) -> None:
     """Inspect a folder and write its project.toml; list what was found and what is missing.
 
     Example: `photocal new flight`, then `photocal run flight/project.toml`
     """
+    from photocal.findings.texts import catalogue, spoken
     from photocal.run.new_project import new_project
 
-    made = new_project(folder, crs, height, marks, again=again)
+    say = catalogue((language or "en") if as_json else spoken(language))
+    made = new_project(folder, crs, height, marks, say.language, again=again)
     parts = {"found": made.known, "missing": made.missing, "doubtful": made.doubtful, "asked": made.asked}
     if again:
         parts["changed"] = list(made.changes)
+    words = {part: say(f"new.part.{part}") for part in parts}
     rows = {"read": made.rows, "used": made.rows_used, "not_used": made.refused}
     marked = {"rows": rows, "frames": list(made.offers)}
     answer(
@@ -57,10 +61,8 @@ def new(
         lambda: {"schema": "photocal.new/1", "project": str(made.path), **parts, **marked},
         lambda: "\n".join(
             [
-                *(f"{word}: {line}" for word, lines in parts.items() for line in lines),
-                f"written: {made.path}; next: "
-                + ("fill in what is asked, then " if made.asked else "")
-                + f"photocal run {made.path}",
+                *(f"{words[part]}: {line}" for part, lines in parts.items() for line in lines),
+                say("new.next_asked" if made.asked else "new.next", path=made.path),
             ]
         ),
     )

@@ -17,7 +17,15 @@ from photocal.debrief import pictures
 from photocal.debrief.pictures import PictureQuality, Quick, picture_findings
 from photocal.findings.digits import Number
 from photocal.findings.finding import Finding, Severity, untested
-from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, findings_of
+from photocal.findings.texts import (
+    LANGUAGES,
+    Catalogue,
+    catalogue,
+    finding_json,
+    finding_text,
+    findings_of,
+    plain,
+)
 from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import oriented_images
 from photocal.geometry.strips import strips
@@ -282,6 +290,7 @@ def debrief_json(made: Debrief) -> dict[str, Any]:
         "summary": measured_text(_measured(made), say),
         "measured": _measured(made),
         "findings": [finding_json(finding, say) for finding in made.findings],
+        "said": {language: _said(made, catalogue(language)) for language in LANGUAGES},
         "pictures": [{"image": look.path.name, **picked(look, *pictures.MEASURED)} for look in made.looks],
         "exposures": [] if made.exposures is None else _exposures(made.exposures, made.together.flown),
         "coverage": None,
@@ -299,6 +308,15 @@ def debrief_json(made: Debrief) -> dict[str, Any]:
     if quick is not None:
         content["quick"] = {"joined": quick.joined, "cameras": quick.cameras}
     return content
+
+
+def _said(made: Debrief, say: Catalogue) -> dict[str, Any]:
+    """Verdict, figures and findings in one language, for pages that have no texts of findings."""
+    return {
+        "verdict": finding_text(made.verdict, say, plain),
+        "summary": measured_text(_measured(made), say),
+        "findings": [finding_text(finding, say, plain) for finding in made.findings],
+    }
 
 
 def _exposures(run: ExposureRun, flown: Coverage | None) -> list[dict[str, Any]]:

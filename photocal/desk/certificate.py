@@ -31,7 +31,7 @@ from photocal.desk.session import Desk
 from photocal.findings.texts import catalogue
 from photocal.findings.verdict import read_verdict, verdict_text
 from photocal.project import Project
-from photocal.report.certificate_metadata import Metadata, read_particulars
+from photocal.report.certificate_metadata import read_particulars
 from photocal.report.keys import own_key
 from photocal.report.signing import SIGNATURE
 from photocal.results.folder import RESULT
@@ -124,12 +124,7 @@ def write(path: Path, text: str, day: dt.date) -> None:
     """Write the file, when the whole of it can be read; raises ConfigurationError otherwise."""
     with output_file(path) as aside:
         aside.write_text(text, encoding="utf-8", newline="\n")
-        read(aside, day)
-
-
-def read(path: Path, day: dt.date, **more: Any) -> Metadata:
-    """Read it as a certificate does."""
-    return read_particulars(path, day, **more)
+        read_particulars(aside, day)
 
 
 # A document within the page: no script, no network, nothing but itself.
@@ -175,7 +170,7 @@ def routes(desk: Desk) -> list[BaseRoute]:
         doing("/api/certificate/preview", lambda body: _preview(desk, checked(_Form, body))),
         doing("/api/certificate/sign", calling(_sign, desk)),
         doing("/api/certificate/key", calling(_key, desk)),
-        doing("/api/certificate/verify", lambda _: _verify_own(desk)),
+        doing("/api/certificate/verify", lambda _: verified_folder(desk.project().output / "certificate")),
         Route("/certificate/preview", framed),
         Route("/certificate/zip", packed),
         Route("/api/verify", verified, methods=["POST"]),
@@ -261,7 +256,7 @@ def _preview(desk: Desk, form: _Form) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / NAME
         path.write_text(text or "# nothing was typed\n", encoding="utf-8")
-        given = read(
+        given = read_particulars(
             path,
             _today(),
             client=form.client,
@@ -308,10 +303,6 @@ def _key(
 ) -> dict[str, Any]:
     asked(["keys", "--new", name], {"PHOTOCAL_PASSPHRASE": passphrase})
     return state(desk)
-
-
-def _verify_own(desk: Desk) -> dict[str, Any]:
-    return verified_folder(desk.project().output / "certificate")
 
 
 def pack(desk: Desk) -> tuple[Path, str]:
@@ -364,5 +355,5 @@ def _unpack(packed: zipfile.ZipFile, folder: Path) -> None:
 def verified_folder(folder: Path) -> dict[str, Any]:
     """What `photocal verify` says of a folder."""
     told: Mapping[str, Any] = asked(["verify", folder])
-    keys = ("number", "verified", "reproducible", "authentic", "signature", "problems", "not_told")
-    return {**{key: told.get(key) for key in keys}, "verdict": told.get("verdict")}
+    keys = ("number", "verified", "reproducible", "authentic", "signature", "problems", "not_told", "verdict")
+    return {key: told.get(key) for key in keys}

@@ -9,8 +9,8 @@ from starlette.routing import BaseRoute
 from photocal.base.errors import PhotocalError
 from photocal.base.files import output_file
 from photocal.base.web import calling, doing, telling
-from photocal.desk.jobs import FOLDER, asked
-from photocal.desk.project_file import field_of
+from photocal.desk.jobs import FOLDER, asked, kept
+from photocal.desk.project_file import with_field
 from photocal.desk.session import Desk
 from photocal.findings.texts import catalogue, finding_json, findings_of
 
@@ -32,23 +32,18 @@ def routes(desk: Desk) -> list[BaseRoute]:
 def state(desk: Desk) -> dict[str, Any]:
     """What the last check has found, and the debrief as it stands."""
     job = desk.job(JOB).state()
-    error = {"text": job["error"], "field": field_of(job["error"])} if job["error"] else None
     return {
-        "checked": kept(desk),
+        "checked": checked(desk),
         "debrief": debrief(desk),
         "job": job,
-        "error": error,
+        "error": with_field(job["error"]),
         "lines": {"doctor": desk.line(_doctor(desk)), "debrief": desk.line(["debrief", desk.folder])},
     }
 
 
-def kept(desk: Desk) -> dict[str, Any] | None:
+def checked(desk: Desk) -> dict[str, Any] | None:
     """What the last check has found."""
-    try:
-        content = json.loads((desk.folder / FOLDER / _KEPT).read_bytes())
-    except (OSError, ValueError):
-        return None
-    return content if isinstance(content, dict) else None
+    return kept(desk.folder / FOLDER / _KEPT) or None
 
 
 def _doctor(desk: Desk) -> list[str | Path]:
@@ -68,8 +63,7 @@ def _check(desk: Desk) -> dict[str, Any]:
     try:
         check_project(desk.project())
     except PhotocalError as refusal:
-        text = str(refusal).removeprefix(f"{desk.file}: ")
-        content["problem"] = {"text": text, "field": field_of(text)}
+        content["problem"] = with_field(str(refusal).removeprefix(f"{desk.file}: "))
     (desk.folder / FOLDER).mkdir(exist_ok=True)
     with desk.lock, output_file(desk.folder / FOLDER / _KEPT) as aside:
         aside.write_text(json.dumps(content), encoding="utf-8")

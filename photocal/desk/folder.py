@@ -19,7 +19,7 @@ from photocal.base.web import calling, doing, finding, telling
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, ROLES
 from photocal.desk import project_file
-from photocal.desk.jobs import FOLDER, asked
+from photocal.desk.jobs import FOLDER, asked, kept
 from photocal.desk.session import Desk
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES, list_images
@@ -94,11 +94,7 @@ def project(desk: Desk) -> dict[str, Any]:
 
 def said(desk: Desk) -> dict[str, Any] | None:
     """What `photocal new` has said last."""
-    try:
-        told = json.loads((desk.folder / FOLDER / _SAID).read_bytes())
-    except (OSError, ValueError):
-        return None
-    return told if isinstance(told, dict) else None
+    return kept(desk.folder / FOLDER / _SAID) or None
 
 
 def places(desk: Desk) -> dict[str, Any]:
@@ -177,6 +173,7 @@ def _new(desk: Desk, crs: Short = "", height: Short = "", marks: Short = "") -> 
     ):
         arguments += [name, value] if value else []
     arguments += ["--again"] if desk.file.is_file() else []
+    arguments += ["--lang", desk.language] if desk.language != "en" else []
     with desk.lock:
         answer = asked(arguments)
         (desk.folder / FOLDER).mkdir(exist_ok=True)

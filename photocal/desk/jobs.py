@@ -58,6 +58,14 @@ def error_of(log: str) -> str:
     return ""
 
 
+def kept(path: Path) -> dict[str, Any]:
+    """What was kept in a file as JSON; empty where nothing can be read."""
+    with contextlib.suppress(OSError, ValueError):
+        content = json.loads(path.read_bytes())
+        return content if isinstance(content, dict) else {}
+    return {}
+
+
 class Job:
     """A long command of a project: one at a time of each name."""
 
@@ -147,11 +155,8 @@ class Job:
         return self._folder / f"{self._name}.{kind}"
 
     def _told(self) -> dict[str, Any]:
-        try:
-            told = json.loads(self._file("json").read_bytes())
-        except (OSError, ValueError):
-            return {}
-        return told if isinstance(told, dict) and {"pid", "began", "line"} <= told.keys() else {}
+        told = kept(self._file("json"))
+        return told if {"pid", "began", "line"} <= told.keys() else {}
 
     def _note(self, told: Mapping[str, Any]) -> None:
         with output_file(self._file("json")) as aside:

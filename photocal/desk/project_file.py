@@ -62,6 +62,11 @@ def field_of(error: str) -> str:
     return next((key for key, words in _MENDS if re.search(words, error)), "")
 
 
+def with_field(error: str) -> dict[str, str] | None:
+    """Give an error with the field that it speaks of; None without an error."""
+    return {"text": error, "field": field_of(error)} if error else None
+
+
 def shown(path: Path) -> dict[str, Any]:
     """Fields of a project file with their values and comments, and what is wrong with it."""
     document = toml_document(path)
@@ -72,7 +77,7 @@ def shown(path: Path) -> dict[str, Any]:
         problem = str(refusal).removeprefix(f"{path}: ")
     return {
         "fields": [*_fields(document)],
-        "problem": {"text": problem, "field": field_of(problem)} if problem else None,
+        "problem": with_field(problem),
         "text": tomlkit.dumps(document),
     }
 

@@ -1,7 +1,6 @@
 """Answers to the step Run: the stages with their times, one command at work, and what it says."""
 
 import datetime as dt
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +11,8 @@ from starlette.routing import BaseRoute
 from photocal.base.errors import PhotocalError
 from photocal.base.web import calling, doing, telling
 from photocal.desk.certificate import issued_as
-from photocal.desk.project_file import field_of
+from photocal.desk.jobs import kept
+from photocal.desk.project_file import with_field
 from photocal.desk.session import Desk
 from photocal.project import Project
 from photocal.run.output_place import STAGES
@@ -39,10 +39,9 @@ def state(desk: Desk) -> dict[str, Any]:
     from photocal.run.campaign import PROGRESS, stages
 
     job = desk.job(JOB).state()
-    error = job["error"]
     told: dict[str, Any] = {
         "job": job,
-        "error": {"text": error, "field": field_of(error)} if error else None,
+        "error": with_field(job["error"]),
         "line": desk.line(["run", desk.folder]),
         "stages": [],
         "progress": None,
@@ -52,9 +51,9 @@ def state(desk: Desk) -> dict[str, Any]:
         project = desk.project()
         listed = stages(project, dt.datetime.now().astimezone().date())
     except (PhotocalError, OSError) as refusal:
-        return {**told, "error": told["error"] or {"text": str(refusal), "field": field_of(str(refusal))}}
+        return {**told, "error": told["error"] or with_field(str(refusal))}
     work = project.output
-    progress = _kept(work / PROGRESS) if job["state"] == "busy" else {}
+    progress = kept(work / PROGRESS) if job["state"] == "busy" else {}
     names = [stage.name for stage in listed]
     said = told_stages(desk.job(JOB).log(), names) if job["state"] != "none" else {}
     issued = issued_as(work / "certificate", desk.language)
@@ -72,7 +71,7 @@ def _stages(
     """Each stage: made, kept, at work or to come; its time by the record, and its part of the whole."""
     found = []
     for name in names:
-        record = _kept(made_in(work) / name / RECORD)
+        record = kept(made_in(work) / name / RECORD)
         seconds = record.get("seconds")
         now = said.get(name, "")
         state = now or ("there" if record else "none")
@@ -111,14 +110,6 @@ def _start(desk: Desk, again: Annotated[str, Field(max_length=50)] = "") -> dict
 def _stop(desk: Desk) -> dict[str, Any]:
     desk.job(JOB).stop()
     return state(desk)
-
-
-def _kept(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_bytes())
-    except (OSError, ValueError):
-        return {}
-    return content if isinstance(content, dict) else {}
 
 
 def made_stages(project: Project) -> list[str]:

@@ -43,7 +43,7 @@ def standing(desk: Desk) -> dict[str, Stands]:
     steps = dict.fromkeys(("folder", "check", "run", "look", "certificate", "mark", "record"), none)
     if not desk.file.is_file():
         return {**steps, "folder": _as("none", "stands.choose")}
-    checked = checks.kept(desk)
+    checked = checks.checked(desk)
     if checked is not None:
         bad = checked.get("problem") or any(one["state"] == "bad" for one in checked["machine"])
         steps["check"] = _as("bad", "stands.problem") if bad else _as("good", "stands.checked")

@@ -8,19 +8,19 @@ the table filled in, is docs/exchange.md (`python -m photocal.exchange.formats`)
 
 Made by `python -m photocal.exchange.formats > docs/exchange.md`; `photocal export RUN --format NAME -o DIR`
 writes them. Here the centre of the upper-left pixel is (0, 0), x runs right, y down; camera axes are x
-right, y up, z backwards; `exchange` owns every half pixel and every sign.
+right, y up, z backwards. Only the room `exchange` converts half pixels and signs.
 
 "brown-ideal": the distortion is added to the projection; "brown-observed": it corrects the measurement.
-Between formats of one direction nothing is lost; between the two a fit over the whole image replaces the
-polynomial, and the command says its rms and largest residual in px. "none": the distortion has no place in
-the file.
+Between formats of one direction nothing is lost. Between the two, a fit over the whole image replaces the
+polynomial, and the command prints its rms and largest residual in px. "none": the file cannot hold a
+distortion.
 
 A block in a coordinate reference system goes to Cartesian formats in the topocentric frame (east, north,
 up) at its middle, where it was adjusted, so that reprojection residuals stay what they are; tables of
 orientations and ODM's lists keep map coordinates and angles.
 
-One pose belongs to all lines of an image: observations of a rolling shutter are corrected to that of the
-middle line, and the command says so.
+These formats have one pose for all lines of an image. Observations of a rolling shutter are therefore
+corrected to the pose of the middle line, and the command says so.
 
 | name | format | holds | object space | pixel (0, 0) | camera axes | distortion | units | read |
 | --- | --- | --- | --- | --- | --- | --- | --- | --- |

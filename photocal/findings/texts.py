@@ -22,7 +22,7 @@ from photocal.findings.finding import Finding
 
 LANGUAGES = ("en", "pt-BR")
 # Their sections may add to each other, their keys are all different.
-CATALOGUES = ("findings", "report", "analysis", "verdict", "terminal")
+CATALOGUES = ("findings", "report", "analysis", "verdict", "terminal", "new")
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,10 @@ class Catalogue:
     def measured(self, value: float, sigma: float) -> tuple[str, str, int]:
         """See `digits.measured`."""
         return measured(value, sigma, self.mark)
+
+    def term(self, name: str) -> str:
+        """Give a term in this language; what is none stands as it is."""
+        return self.messages.get(f"term.{name}", name)
 
     def date(self, day: dt.date) -> str:
         """Write a date in words."""
@@ -242,7 +246,7 @@ def _figure(key: str, value: Any, say: Catalogue, name: Callable[[str], str]) ->
         return say(f"group.{value}")
     if isinstance(value, str):
         value = printable(value)
-        return _term(value, say) if key in TERMS else name(value) if key in PARAMETERS else value
+        return say.term(value) if key in TERMS else name(value) if key in PARAMETERS else value
     if not isinstance(value, tuple | list):
         return Number(math.nan if value is None else float(value), say.mark)
     # Points and pictures have the names that somebody gave them.
@@ -251,22 +255,18 @@ def _figure(key: str, value: Any, say: Catalogue, name: Callable[[str], str]) ->
         joint = ", " if PHRASES[key] == "lever" else say("join.and")
         return joint.join(_phrase(PHRASES[key], text, say, name) for text in texts)
     if key in TERMS:
-        return say("join.and").join(_term(text, say) for text in texts)
+        return say("join.and").join(say.term(text) for text in texts)
     if key in PARAMETERS:
         return " ".join(name(text) for text in texts)
     if key == "shares":
         shares = (text.rpartition(" ") for text in texts)
-        return ", ".join(f"{_term(code, say)} {float(part):.0%}" for code, _, part in shares)
+        return ", ".join(f"{say.term(code)} {float(part):.0%}" for code, _, part in shares)
     if key in ("numbers", "stated", "difference"):
         return ", ".join(_number(text, say) for text in texts)
     # Longer lists of points and images end with a number.
     named = 8
     more = say("join.more", count=len(texts) - named) if len(texts) > named else ""
     return ", ".join(texts[:named]) + more
-
-
-def _term(code: str, say: Catalogue) -> str:
-    return say.messages.get(f"term.{code}", code)
 
 
 def _number(text: str, say: Catalogue) -> str:
@@ -277,5 +277,5 @@ def _number(text: str, say: Catalogue) -> str:
 def _phrase(section: str, text: str, say: Catalogue, name: Callable[[str], str]) -> str:
     """Say a phrase, "radial K3" or "exchanged forward right"."""
     code, *parts = text.split(" ")
-    values = (name(part) if section == "candidate" else _number(_term(part, say), say) for part in parts)
+    values = (name(part) if section == "candidate" else _number(say.term(part), say) for part in parts)
     return say.messages[f"{section}.{code}"].format(*values)

@@ -17,6 +17,7 @@ from photocal.base.checked_toml import Table, read_toml
 from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.base.policy import policy
 from photocal.block.model import Block
+from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
 from photocal.georeferencing.comparison import (
     Differences,
@@ -458,25 +459,23 @@ def _by_number(outcome: ExperimentOutcome) -> list[dict[str, Any]]:
     return rows
 
 
-def numbers_text(figures: dict[str, Any]) -> str:
+def numbers_text(figures: dict[str, Any], say: Catalogue) -> str:
     """Write them for people, and from which number on more control is hardly worth while."""
-    head = f"{figures['method']} georeferencing, {figures['points']} surveyed points; at the others "
-    lines = [head + "RMSE in X, Y, Z / predicted with the survey's own sigma, mm"]
+    lines = [say("experiment.numbers", method=say.term(figures["method"]), points=figures["points"])]
     predicted = {}
     for row in figures["numbers"]:
         if "rmse_m" not in row:
-            lines.append(f"  {row['control']:>3} control: not possible: {row['failure']}")
+            lines.append(say("experiment.numbers_failed", control=row["control"], reason=row["failure"]))
             continue
         cells = ", ".join(f"{1e3 * row['rmse_m'][a]:.0f}/{1e3 * row['predicted_m'][a]:.0f}" for a in "XYZ")
-        share = f"{100 * row['within_95_percent']:.0f} % of {3 * row['errors']} errors within 95 %"
-        lines.append(f"  {row['control']:>3} control, {row['choices']} choices: {cells}; {share}")
+        counts = {"control": row["control"], "choices": row["choices"], "errors": 3 * row["errors"]}
+        share = f"{100 * row['within_95_percent']:.0f}"
+        lines.append(say("experiment.numbers_row", **counts, cells=cells, share=share))
         predicted[row["control"]] = float(np.linalg.norm(list(row["predicted_m"].values())))
     if predicted:
         least = min(predicted.values())
         # More control is said to be worth while where it lowers what is predicted by more than this.
         worth = 0.1
         enough = min(count for count, value in predicted.items() if value <= (1 + worth) * least)
-        lines.append(
-            f"from {enough} control points on, more of them lower what is predicted by less than 10 %"
-        )
+        lines.append(say("experiment.enough", n=enough))
     return "\n".join(lines)

@@ -9,6 +9,7 @@ import numpy as np
 
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.maps import save_figures
+from photocal.accuracy.output import localised
 from photocal.accuracy.variance_analysis import (
     VarianceEffect,
     analyse_variance,
@@ -18,7 +19,8 @@ from photocal.accuracy.variance_analysis import (
 from photocal.base.arrays import as_plain, picked
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_folder, rows_text, write_json
-from photocal.findings.document import Section, table, text
+from photocal.findings.document import Section, TablePart, table, text
+from photocal.findings.texts import Catalogue
 from photocal.georeferencing.comparison import Differences, rms
 from photocal.georeferencing.experiment import ExperimentOutcome, ExperimentRun, RunPair, WithoutControlPoint
 from photocal.georeferencing.prior_sigma import (
@@ -130,14 +132,12 @@ def _variance(outcome: ExperimentOutcome) -> dict[str, tuple[VarianceEffect, ...
     return found
 
 
-def to_text(outcome: ExperimentOutcome) -> str:
+def to_text(outcome: ExperimentOutcome, say: Catalogue) -> str:
     """Write an experiment's results for people."""
-    heads = ("run", "control", "check", "X", "Y", "Z", "sX", "sY", "sZ", "t<")
-    heads_of_poses = ("run", "residuals x", "y", "X", "Y", "Z", "omega", "phi", "kappa")
     runs, poses = [], []
     for run in outcome.runs:
         if run.check is None:
-            runs.append((run.name, str(run.control), *[""] * 7, f"failed: {run.failure}"))
+            runs.append((run.name, str(run.control), *[""] * 7, say("experiment.failed", reason=run.failure)))
             continue
         t = " ".join(f"{b.t:.2f}{'*' if b.significant else ''}" for b in run.bias)
         figures = _cells((*run.check.rmse, *run.check.predicted), ".4f")
@@ -149,15 +149,19 @@ def to_text(outcome: ExperimentOutcome) -> str:
         (case.method, case.point, *([*[""] * 6, case.failure] if case.failure else _left_cells(case)))
         for case in outcome.left_out
     ]
-    of_left = ("method", "point", "dX", "dY", "dZ", "w X", "w Y", "w Z", "<")
+
+    def headed(caption: str, heads: str, rows: list[tuple[str, ...]]) -> TablePart:
+        """Make a table with heads and decimal mark of the language."""
+        return table(caption, heads.split("|"), localised(rows, say))
+
     tables = (
-        table(f"check points, {SIGN}; RMSE and predicted sigma in m, t of the mean (* biased)", heads, runs),
-        table("image residuals px; exterior orientation, RMSE in m and deg", heads_of_poses, poses),
-        table("pair by pair: RMSE of the differences at check points, m", ("", "X", "Y", "Z"), pairs),
-        table("leave one out: d, w", of_left, left),
-        support_table(outcome.supports),
-        *variance_tables(_variance(outcome)),
-        *(prior_tables(outcome.priors) if outcome.priors else ()),
+        headed(say("experiment.runs", sign=say("shown.sign")), say("experiment.runs_heads"), runs),
+        headed(say("experiment.poses"), say("experiment.poses_heads"), poses),
+        headed(say("experiment.pairs"), "|X|Y|Z", pairs),
+        headed(say("experiment.left"), say("experiment.left_heads"), left),
+        support_table(outcome.supports, say),
+        *variance_tables(_variance(outcome), say),
+        *(prior_tables(outcome.priors, say) if outcome.priors else ()),
     )
     return text([Section("", tuple(made for made in tables if made.rows))])
 

@@ -77,7 +77,7 @@ def _standards(check: BlockCheck, say: Catalogue) -> list[TablePart]:
                 "checked.reached_both",
                 horizontal=_class(least.horizontal_m),
                 vertical=_class(least.vertical_m),
-                condition=condition(least),
+                condition=condition(least, say),
             )
             for least in reached
         ]

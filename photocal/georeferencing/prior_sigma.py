@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from photocal.accuracy.output import localised
 from photocal.accuracy.variance_analysis import (
     VarianceEffect,
     analyse_variance,
@@ -21,6 +22,7 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.block.model import Block
 from photocal.findings.document import TablePart, table
+from photocal.findings.texts import Catalogue
 from photocal.georeferencing.comparison import differences, exposure_difference
 from photocal.georeferencing.methods import of_method
 
@@ -131,17 +133,16 @@ def prior_variance(runs: tuple[PriorRun, ...]) -> dict[str, tuple[VarianceEffect
     return found
 
 
-def prior_tables(runs: tuple[PriorRun, ...]) -> list[TablePart]:
+def prior_tables(runs: tuple[PriorRun, ...], say: Catalogue) -> list[TablePart]:
     """Write what is stated beside what comes out."""
-    heads = ("stated m", "deg", "X", "Y", "Z", "omega", "phi", "kappa",
-             "check X", "Y", "Z", "sX", "sY", "sZ", "factor", "<")  # fmt: skip
+    heads = say("experiment.prior_heads").split("|")
     rows = []
     for run in runs:
         turned = (*run.sigma[3:], *np.degrees(run.sigma[:3]), *run.check_rmse, *run.check_sigma)
         cells = ("" if np.isnan(v) else f"{v:.4f}" for v in (*turned, run.variance_factor))
         rows.append((f"{run.position_m:g}", f"{np.degrees(run.attitude_rad):g}", *cells, run.failure))
-    what = "sigma of the exterior orientation after adjustment (m, deg), RMSE and sigma at check points (m)"
-    return [table(what, heads, rows), *variance_tables(prior_variance(runs))]
+    made = table(say("experiment.prior"), heads, localised(rows, say))
+    return [made, *variance_tables(prior_variance(runs), say)]
 
 
 def prior_rows(runs: tuple[PriorRun, ...]) -> list[dict[str, Any]]:
@@ -313,17 +314,15 @@ def _mean_length(vectors: Floats) -> float:
     return float(np.linalg.norm(vectors, axis=1).mean()) if len(vectors) else np.nan
 
 
-def support_table(runs: tuple[SupportRun, ...]) -> TablePart:
+def support_table(runs: tuple[SupportRun, ...], say: Catalogue) -> TablePart:
     """Write the accuracy at check points beside the inner precision: they need not go together."""
-    heads = ("support", "points", "tapes", "held", "R control", "R check", "sX", "sY", "sZ", "sC", "<")
+    heads = say("experiment.support_heads").split("|")
     rows = []
     for run in runs:
         lengths = (run.control_m, run.check_m, *run.sigma_m, run.mean_sigma_m)
         cells = ("" if np.isnan(value) else f"{1e3 * value:.2f}" for value in lengths)
         rows.append((run.name, str(run.control), str(run.distances), run.held, *cells, run.failure))
-    return table(
-        "support: R is the mean length at the points, s the mean standard deviation, mm", heads, rows
-    )
+    return table(say("experiment.support"), heads, localised(rows, say))
 
 
 def support_rows(runs: tuple[SupportRun, ...]) -> list[dict[str, Any]]:

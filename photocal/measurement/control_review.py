@@ -11,6 +11,7 @@ from photocal.base.arrays import Floats
 from photocal.block.model import ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Finding
+from photocal.findings.texts import Catalogue
 from photocal.geometry.frames import system_of
 
 # A point so far from the others, and so many times as far as they are from each other, is none of the site.
@@ -20,11 +21,6 @@ TWIN_M, TWIN_SHARE, SAME_M = 1.0, 0.02, 0.002
 FOOT_M = 0.3048
 # Neighbouring zones that are tried.
 ZONES = (-1, 1, -2, 2)
-_SLIPS = {
-    "far-exchanged": "E and N are exchanged",
-    "far-in-feet": "it is in feet",
-    "far-in-zone": "it is in {zone}",
-}
 
 
 @dataclass(frozen=True)
@@ -42,10 +38,10 @@ class Stray:
     slip: str = ""
     zone: str = ""
 
-    def said(self) -> str:
+    def said(self, say: Catalogue) -> str:
         """Say it in a sentence."""
-        far = f"{self.name} lies {self.away_m / 1000:.0f} km from the others"
-        return f"{far}: {_SLIPS[self.slip].format(zone=self.zone)}" if self.slip else far
+        far = say("new.control_far", name=self.name, km=f"{self.away_m / 1000:.0f}")
+        return far + (say(f"clause.{self.slip}", zone=self.zone) if self.slip else "")
 
     def finding(self) -> Finding:
         """Give it as a finding."""
@@ -111,7 +107,7 @@ def _family(name: str) -> str:
     return "".join(letter for letter in name if not letter.isdigit()).rstrip("NSEW ")
 
 
-def twins(points: ObjectPoints) -> Iterator[str]:
+def twins(points: ObjectPoints, say: Catalogue) -> Iterator[str]:
     """Points that stand at one place, or so near that two names may mean one."""
     known = np.flatnonzero(np.isfinite(points.values).all(axis=1) & ~points.of_role("tie"))
     if len(known) < 2:
@@ -120,19 +116,19 @@ def twins(points: ObjectPoints) -> Iterator[str]:
     near = max(SAME_M, min(TWIN_M, TWIN_SHARE * width))
     for i, j in combinations(known, 2):
         apart = points.values[i] - points.values[j]
-        level, names = float(np.hypot(*apart[:2])), f"{points.names[i]} and {points.names[j]}"
+        level, names = float(np.hypot(*apart[:2])), {"one": points.names[i], "other": points.names[j]}
         if level > near:
             continue
         if level > SAME_M:
-            yield f"{names} stand {level:.2f} m apart: are they one point?"
+            yield say("new.twins_near", **names, apart=say.fixed(level, 2))
         elif abs(apart[2]) > SAME_M:
-            heights = f"{points.values[i, 2]:g} and {points.values[j, 2]:g}"
-            yield f"{names} stand at one place with the heights {heights}: which is right?"
+            first, second = (say.as_given(points.values[k, 2]) for k in (i, j))
+            yield say("new.twins_heights", **names, first=first, second=second)
         else:
-            yield f"{names} stand at one place: two names of one point"
+            yield say("new.twins", **names)
 
 
-def heights_apart(points: ObjectPoints) -> Iterator[str]:
+def heights_apart(points: ObjectPoints, say: Catalogue) -> Iterator[str]:
     """Heights that would agree with the others if they were in feet, or had the other sign."""
     heights = points.values[:, 2]
     known = np.flatnonzero(np.isfinite(points.values).all(axis=1) & ~points.of_role("tie"))
@@ -140,32 +136,32 @@ def heights_apart(points: ObjectPoints) -> Iterator[str]:
         return
     middle = float(np.median(heights[known]))
     if np.ptp(heights[known]) == 0.0:
-        yield f"the heights of all {len(known)} points are {middle:g}, which a survey hardly gives"
+        yield say("new.heights_alike", n=len(known), height=say.as_given(middle))
     usual = float(np.median(np.abs(heights[known] - middle)))
     width = float(
         np.linalg.norm(np.ptp(np.sort(points.values[known, :2], axis=0)[len(known) // 6 :], axis=0))
     )
     limit = max(20.0 * usual, 0.2 * min(width, 1000.0), 5.0)
     for k in known:
-        for slip, there in (("in feet", heights[k] * FOOT_M), ("of the wrong sign", -heights[k])):
+        for slip, there in (("new.height_feet", heights[k] * FOOT_M), ("new.height_sign", -heights[k])):
             if abs(heights[k] - middle) > limit and abs(there - middle) < 0.1 * limit + usual:
-                yield f"the height of {points.names[k]}, {heights[k]:g}, would be like the others {slip}"
+                yield say(slip, point=points.names[k], height=say.as_given(heights[k]))
 
 
-def alone(marks: Sequence[Mark], points: ObjectPoints) -> Iterator[str]:
+def alone(marks: Sequence[Mark], points: ObjectPoints, say: Catalogue) -> Iterator[str]:
     """Points with one mark, which say nothing of their own place."""
     count = Counter(mark.point for mark in marks)
     single = [name for name in points.names if count[name] == 1]
     if single:
-        yield f"marked in one picture only: {listed(single)}; it needs a mark in a second picture"
+        yield say("new.marked_once", names=listed(single, say))
     bare = [name for name in points.names if not count[name]]
     if bare and count:
-        yield f"without a mark: {listed(bare)}"
+        yield say("new.without_mark", names=listed(bare, say))
 
 
-def listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str], say: Catalogue) -> str:
     """Some names, and how many more there are."""
     # More names are no sentence.
     most_named = 5
     some = ", ".join(names[:most_named])
-    return some if len(names) <= most_named else f"{some} and {len(names) - most_named} more"
+    return some if len(names) <= most_named else say("new.named_more", names=some, n=len(names) - most_named)

@@ -23,6 +23,7 @@ from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.exchange.parts import Mark
 from photocal.exchange.source import MAX_SIDE_PX
 from photocal.findings.finding import Finding
+from photocal.findings.texts import Catalogue
 from photocal.measurement.features import Features, FeatureSettings, detect
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.image_file import as_eight_bit, read_grey
@@ -60,12 +61,14 @@ class MarkFrame:
         parts += [] if self.turn == "stored" else [self.turn]
         return " ".join(parts) or "1"
 
-    def said(self) -> str:
+    def said(self, say: Catalogue) -> str:
         """Say it in words."""
-        size = "" if self.factor == 1.0 else f"of {Fraction(self.factor).limit_denominator(1000)} of the size"
-        turned = {"stored": "", "exif": "turned as EXIF orientation shows them"}
-        turn = turned.get(self.turn, f"turned by {self.turn} degrees clockwise")
-        return " and ".join(part for part in (size, turn) if part) or "as they are stored"
+        share = Fraction(self.factor).limit_denominator(1000)
+        size = "" if self.factor == 1.0 else say("new.frame_size", share=share)
+        turned = {"stored": "", "exif": say("new.frame_exif")}
+        turn = turned.get(self.turn, say("new.frame_turn", turn=self.turn))
+        both = say("new.frame_both", size=size, turn=turn) if size and turn else size or turn
+        return both or say("new.frame_stored")
 
     def stored(self, marks: Sequence[Mark], facts: Facts) -> tuple[Mark, ...]:
         """Give marks in the stored grid of pictures that are there."""

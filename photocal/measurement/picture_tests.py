@@ -11,6 +11,7 @@ import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.findings.finding import Finding, Severity
+from photocal.findings.texts import Catalogue
 from photocal.geometry.smear import SMEAR_LIMIT_PX, smear_px
 from photocal.measurement.image_facts import ImageFacts, camera_temperatures
 from photocal.measurement.listed_positions import PICTURE_LATE_M, PICTURE_SIGMA_M, SIGMAS
@@ -263,23 +264,30 @@ def _beside_table(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
         yield _about("table-beside-pictures", away, facts, "doubtful", apart_m=apart)
 
 
-def told_beside(facts: Sequence[ImageFacts]) -> list[str]:
+def told_beside(facts: Sequence[ImageFacts], say: Catalogue) -> list[str]:
     """Sentences on what pictures tell beside their cameras and positions: laser and temperatures."""
     lasers = np.array([image.laser_m for image in facts])
     hit, told = lasers[np.isfinite(lasers)], list[str]()
     if len(hit):
         heights = np.array([image.relative_altitude_m for image in facts])
         heights = heights[np.isfinite(heights)]
-        above = f"; flying height above take-off {np.median(heights):.1f} m (median)" if len(heights) else ""
-        each = ", ".join(f"{distance:.1f}" for distance in hit) + " m"
-        spread = f"{hit.min():.1f} to {hit.max():.1f} m, median {np.median(hit):.1f} m"
+        each = say("new.laser_each", distances=", ".join(say.fixed(distance, 1) for distance in hit))
+        spread = say("new.laser_spread", **_three(hit.min(), np.median(hit), hit.max(), say))
         # So many laser distances are told one by one.
         listed = 12
         spread = each if len(hit) <= listed else spread
-        told.append(f"laser distances of {len(hit)} of {len(facts)} pictures: {spread}{above}")
+        text = say("new.laser", n=len(hit), all=len(facts), distances=spread)
+        if len(heights):
+            text = say("new.laser_height", text=text, height=say.fixed(float(np.median(heights)), 1))
+        told.append(text)
     if (warm := temperatures(facts)) is not None:
-        told.append(f"temperature of the camera {warm[0]:.1f} to {warm[2]:.1f} deg C, median {warm[1]:.1f}")
+        told.append(say("new.warm", **_three(*warm, say)))
     return told
+
+
+def _three(least: float, median: float, largest: float, say: Catalogue) -> dict[str, str]:
+    named = {"least": least, "median": median, "largest": largest}
+    return {name: say.fixed(value, 1) for name, value in named.items()}
 
 
 def judge_cameras(facts: Sequence[ImageFacts], names: Sequence[str], member: Sequence[int]) -> list[Finding]:

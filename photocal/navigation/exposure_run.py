@@ -12,8 +12,9 @@ import numpy as np
 
 from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.errors import ConfigurationError
+from photocal.findings.digits import Number
 from photocal.findings.finding import Finding
-from photocal.findings.texts import catalogue, finding_json
+from photocal.findings.texts import Catalogue, catalogue, finding_json
 from photocal.navigation.common_errors import common_text
 from photocal.navigation.device_clocks import ComparedClocks, clock_sentences, device_by_arrival
 from photocal.navigation.engine import Rtklib
@@ -163,45 +164,53 @@ def _missing(exposures: Exposures) -> Iterator[Finding]:
         yield Finding("telemetry-gap", "doubtful", figures={"n": count, "all": float(len(exposures))})
 
 
-def exposures_text(figures: dict[str, Any]) -> str:
+def exposures_text(figures: dict[str, Any], say: Catalogue) -> str:
     """Return the summary in words."""
     # The table has all; a screen shows this many.
     listed = 12
-    counts = ", ".join(f"{figures[name]} {name}" for name in ("fixed", "float", "single"))
+    counts = {name: figures[name] for name in ("events", "placed", "fixed", "float", "single")}
     lines = [
-        f"{figures['events']} events from {figures['events_from']}, {figures['placed']} placed: {counts}",
-        f"{figures['with_attitude']} with attitude",
+        say("exposed.head", source=figures["events_from"], **counts),
+        say("exposed.attitudes", n=figures["with_attitude"]),
     ]
     for kind, span in figures["heights"].items():
-        lines.append(f"height {kind}: {span['lowest_m']:.2f} to {span['highest_m']:.2f} m")
+        ends = {"least": say.fixed(span["lowest_m"], 2), "largest": say.fixed(span["highest_m"], 2)}
+        lines.append(say("exposed.height", kind=kind, **ends))
     sigma = figures["sigma"]
     if sigma["position_enu_m"]:
-        lines.append("sigma (median) E N U " + " ".join(f"{v:.3f}" for v in sigma["position_enu_m"]) + " m")
+        parts = " ".join(say.fixed(v, 3) for v in sigma["position_enu_m"])
+        lines.append(say("exposed.position", figures=parts))
     if sigma["roll_pitch_yaw_deg"]:
-        angles = " ".join(f"{v:.2f}" for v in sigma["roll_pitch_yaw_deg"])
-        lines.append(f"sigma (median) roll pitch yaw {angles} deg")
+        parts = " ".join(say.fixed(v, 2) for v in sigma["roll_pitch_yaw_deg"])
+        lines.append(say("exposed.angles", figures=parts))
     if figures["common"] is not None:
-        lines += common_text(figures["common"])
+        lines += common_text(figures["common"], say)
     lines += figures["remarks"]
     for camera in figures["cameras"]:
-        rest = f"{len(camera['unmatched_images'])} images, {len(camera['unmatched_events'])} events"
-        line = f"{camera['camera']}: {camera['matched']} matched, unmatched {rest}"
+        clock = ""
         if camera["matched"]:
-            line += (
-                f"; its clock is {camera['clock_offset_s']:+.3f} s (sigma "
-                f"{camera['clock_offset_sigma_s']:.3f} s) off, drift {camera['clock_drift_ppm']:+.0f} ppm"
-            )
-        lines.append(line)
+            off = Number(camera["clock_offset_s"], say.mark), Number(camera["clock_drift_ppm"], say.mark)
+            sigma_s = say.fixed(camera["clock_offset_sigma_s"], 3)
+            clock = say("exposed.clock", offset=f"{off[0]:+.3f}", sigma=sigma_s, drift=f"{off[1]:+.0f}")
+        rest = {kind: len(camera[f"unmatched_{kind}"]) for kind in ("images", "events")}
+        who = {"camera": camera["camera"], "matched": camera["matched"]}
+        lines.append(say("exposed.camera", **who, **rest, clock=clock))
     missing = figures["not_placed"]
-    lines += [f"event {x['event']} at {x['time_gps']}: {x['reason']}" for x in missing[:listed]]
+    lines += [
+        say("exposed.event", event=x["event"], time=x["time_gps"], reason=x["reason"])
+        for x in missing[:listed]
+    ]
     if len(missing) > listed:
-        lines.append(f"... and {len(missing) - listed} more without a position: see exposures.csv")
-    lines.append("checks:")
-    words = {"passed": "ok    ", "failed": "FAILED", "not possible": "  -   "}
-    lines += [f"  {words[c['verdict']]} {c['code']}: {c['text']}" for c in figures["checks"]]
+        lines.append(say("exposed.more", n=len(missing) - listed))
+    lines.append(say("exposed.checks"))
+    keys = {"passed": "exposed.passed", "failed": "exposed.failed", "not possible": "exposed.not_possible"}
+    words = {verdict: say(key) for verdict, key in keys.items()}
+    wide = max(map(len, words.values()))
+    lines += [f"  {words[c['verdict']]:<{wide}} {c['code']}: {c['text']}" for c in figures["checks"]]
     checked = {c["text"] for c in figures["checks"]}
     of_ppk = [] if figures["ppk"] is None else figures["ppk"].get("findings", [])
-    lines += [f"WARNING {f['text']}" for f in (*of_ppk, *figures["findings"]) if f["text"] not in checked]
+    told = [f["text"] for f in (*of_ppk, *figures["findings"]) if f["text"] not in checked]
+    lines += [say("exposed.warning", text=text) for text in told]
     return "\n".join(lines)
 
 

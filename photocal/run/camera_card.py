@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from photocal.findings.texts import Catalogue
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.maker_camera import HeadGroup, recognised_heads
 
@@ -63,9 +64,11 @@ class ChosenPictures:
     missing: tuple[str, ...] = ()
 
 
-def chosen_pictures(folder: Path, pictures: Pictures, events: Sequence[Path]) -> ChosenPictures:
+def chosen_pictures(
+    folder: Path, pictures: Pictures, events: Sequence[Path], say: Catalogue
+) -> ChosenPictures:
     """Choose pictures: of a card those of one lens, else the largest folder, or all cameras of a frame."""
-    card = _sorted_card(folder, pictures, events)
+    card = _sorted_card(folder, pictures, events, say)
     if card is not None:
         return card
     largest = max(pictures, key=lambda where: len(pictures[where]), default=None)
@@ -81,7 +84,9 @@ def chosen_pictures(folder: Path, pictures: Pictures, events: Sequence[Path]) ->
     return ChosenPictures(dict(pictures), largest, facts, frame, tuple(events))
 
 
-def _sorted_card(folder: Path, pictures: Pictures, events: Sequence[Path]) -> ChosenPictures | None:
+def _sorted_card(
+    folder: Path, pictures: Pictures, events: Sequence[Path], say: Catalogue
+) -> ChosenPictures | None:
     """Sort the pictures of a card; None where nothing is to be sorted, or the folder is no card."""
     paths = {where / image.name: image for where, some in pictures.items() for image in some}
     # Lenses of one gimbal are told by names alone, too, where the folders of the card are gone.
@@ -98,24 +103,26 @@ def _sorted_card(folder: Path, pictures: Pictures, events: Sequence[Path]) -> Ch
     bands = set(lenses) <= {"", "MS"}
     if not lenses or (not aside and bands and (len(pictures) == 1 or recognised_heads(paths))):
         return None
-    known = [f"{len(some)} {kind}: left out" for kind, some in sorted(aside.items())]
+    known = [
+        say("new.card_aside", n=len(some), kind=say(f"new.told.{kind}"))
+        for kind, some in sorted(aside.items())
+    ]
     missing, sets = list[str](), dict[Path, tuple[ImageFacts, ...]]()
     for lens in sorted(lenses, key=lambda lens: (_place(lens), lens)):
         kept, twice = _once(lenses[lens])
         pattern = _pattern(kept, paths.keys() - set(kept))
         taken = [path for path in kept if path.parent == pattern or _fits(path, pattern)]
         sets[pattern] = tuple(paths[path] for path in taken)
-        known.append(_sentence(lens, {path: paths[path] for path in taken}))
+        known.append(_sentence(lens, {path: paths[path] for path in taken}, say))
         missing += [
-            f"pictures of {_named(folder, where)} cannot be read together with those of other folders "
-            "(names that come twice, or folders of another depth): left out"
+            say("new.card_apart", folder=where.relative_to(folder).as_posix())
             for where in sorted({path.parent for path in (set(kept) - set(taken)) | twice})
         ]
     first = next(iter(sets))
     # Each list counts its own flight; pictures of another have the same numbers.
     own = tuple(path for path in events if path.parent in (first, first.parent))
     if len(own) < len(events) and not all(np.isfinite(image.position_sigma_m).all() for image in sets[first]):
-        missing.append("a list of exposures counts its own flight: photocal new on a flight's folder uses it")
+        missing.append(say("new.card_events"))
     return ChosenPictures(sets, first, sets[first], None, own, tuple(known), tuple(dict.fromkeys(missing)))
 
 
@@ -139,17 +146,18 @@ def _apart_s(first: str, then: str) -> float:
     return (dt.datetime.fromisoformat(then) - dt.datetime.fromisoformat(first)).total_seconds()
 
 
-def _sentence(lens: str, pictures: Mapping[Path, ImageFacts]) -> str:
+def _sentence(lens: str, pictures: Mapping[Path, ImageFacts], say: Catalogue) -> str:
     flights = flights_of(pictures)
-    what = f"lens {lens}" if lens else "one lens"
-    what += f" ({LENSES[lens]})" if LENSES.get(lens) else ""
+    what = say("new.card_lens", lens=lens) if lens else say("new.card_one_lens")
+    if LENSES.get(lens):
+        what = f"{what} ({say(f'new.told.{LENSES[lens]}')})"
     times = (flight[0].taken.replace("T", " ") for flight in flights)
     each = (
-        f"{len(flight)} from {time}" if time else f"{len(flight)}"
+        say("new.card_flight", n=len(flight), time=time) if time else f"{len(flight)}"
         for flight, time in zip(flights, times, strict=True)
     )
-    count = f"{len(flights)} flights" if len(flights) > 1 else "one flight"
-    return f"{what}: {len(pictures)} pictures of {count} ({'; '.join(each)})"
+    count = say("new.card_flights", n=len(flights)) if len(flights) > 1 else say("new.card_one_flight")
+    return say("new.card_pictures", lens=what, n=len(pictures), flights=count, each="; ".join(each))
 
 
 def _lens(name: str) -> str:
@@ -237,7 +245,3 @@ def _fits(path: Path, pattern: Path) -> bool:
     return len(path.parts) == len(pattern.parts) and all(
         name == part or fnmatchcase(name, part) for name, part in pairs
     )
-
-
-def _named(folder: Path, where: Path) -> str:
-    return where.relative_to(folder).as_posix()

@@ -15,6 +15,7 @@ from photocal.base.text_tables import TextTable, read_under
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.exchange.parts import Mark, PointEntry, object_points
 from photocal.exchange.source import number, read_lines
+from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES, require_names
@@ -108,7 +109,7 @@ class FolderContents:
     unread: list[str] = field(default_factory=list)
 
 
-def survey(folder: Path, leave_out: Collection[Path] = ()) -> FolderContents:
+def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> FolderContents:
     """Look at everything in a folder; raises InputNotFoundError when it is not a folder.
 
     leave_out: files that are no source of anything.
@@ -121,7 +122,7 @@ def survey(folder: Path, leave_out: Collection[Path] = ()) -> FolderContents:
     files = sorted(path for path in _files(folder, depth) if path not in leave_out)
     seen.pictures = _pictures(files, seen.unread)
     sizes = {image.name: image.size_px for facts in seen.pictures.values() for image in facts}
-    results = _results(files, folder, seen.unread)
+    results = _results(files, seen, say)
     for path in files:
         if path in results:
             continue
@@ -146,15 +147,13 @@ def survey(folder: Path, leave_out: Collection[Path] = ()) -> FolderContents:
     return seen
 
 
-def _results(files: Sequence[Path], folder: Path, unread: list[str]) -> set[Path]:
+def _results(files: Sequence[Path], seen: FolderContents, say: Catalogue) -> set[Path]:
     """What other programs have computed: no observation, and named once for each folder."""
     found = {path: program for path in files for program, names in _COMPUTED.items() if _named(path, names)}
     for where, program in dict.fromkeys((path.parent, program) for path, program in found.items()):
-        here = "the folder" if where == folder else where.relative_to(folder).as_posix()
-        unread.append(
-            f"{here} has what {program} has computed, which is no observation: photocal adopt {where} takes "
-            "its project with its measurements"
-        )
+        inner = where.relative_to(seen.folder).as_posix()
+        here = say("new.the_folder") if where == seen.folder else inner
+        seen.unread.append(say("new.computed", where=here, program=program, folder=where))
     return set(found)
 
 

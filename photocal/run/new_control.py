@@ -13,6 +13,7 @@ from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.base.policy import policy
 from photocal.block.model import NO_POINTS, ObjectPoints
 from photocal.exchange.parts import Mark
+from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.frames import system_of
 from photocal.geometry.systems import MapSystem, at_place, called, heights_at, is_meant, missing_grids
 from photocal.measurement.control_review import alone, heights_apart, listed, stray_points, twins
@@ -27,11 +28,9 @@ from photocal.measurement.mark_frames import (
 from photocal.measurement.marks import ControlMarks, in_map_system, named_after, unit_m
 from photocal.measurement.position_files import map_places
 from photocal.run.folder_survey import ControlFile
-from photocal.run.project_checks import FAR_FROM_PICTURES_M, FREED, check_place, unfit
+from photocal.run.project_checks import FAR_FROM_PICTURES_M, check_place, unfit
 
 HEIGHTS = ("ellipsoidal", "orthometric", "local")
-# What may be answered where the system is asked: one without the other is refused.
-_LOCAL = 'or "local" for crs and height'
 
 
 @dataclass
@@ -39,6 +38,7 @@ class NewProject:
     """A project that is written, with its control as it goes into it.
 
     path, changes: its file, and what has changed in one that was there.
+    say: language of what is known, missing, doubtful and asked.
     known, missing, doubtful, asked: what the folder has, what would help, what looks like a slip, and what
         must be said before it can be run.
     crs, height: empty where they are still to be said.
@@ -67,6 +67,7 @@ class NewProject:
     asked: list[str] = field(default_factory=list)
     path: Path = Path()
     changes: tuple[str, ...] = ()
+    say: Catalogue = field(default_factory=lambda: catalogue("en"))
 
     @property
     def fixing(self) -> int:
@@ -78,11 +79,15 @@ class NewProject:
 
 @dataclass(frozen=True)
 class StatedControl:
-    """What a person has said of control beside its file: system, kind of heights, frame of the marks."""
+    """What a person has said of control beside its file: system, kind of heights, frame of the marks.
+
+    language: of what is said to that person.
+    """
 
     crs: str = ""
     height: str = ""
     frame: MarkFrame | None = None
+    language: str = "en"
 
     def __post_init__(self) -> None:
         if self.height and self.height not in HEIGHTS:
@@ -107,7 +112,8 @@ def settle(
     flown: whether a flight log has positions.
     """
     placed = [image for image in facts if image.has_position]
-    made = NewProject(crs=told.crs, height=told.height)
+    say = catalogue(told.language)
+    made = NewProject(crs=told.crs, height=told.height, say=say)
     if given is not None and given.points is not None:
         made.points, made.assumed = given.points, given.assumed
         made.rows, made.refused = given.rows, list(given.refused)
@@ -120,17 +126,14 @@ def settle(
     if made.points.names:
         _with_place(made, given, placed)
         strays = stray_points(made.points, made.crs)
-        made.doubtful += [f"control point {stray.said()}" for stray in strays]
+        made.doubtful += [stray.said(say) for stray in strays]
         gone = {stray.row for stray in strays}
         here = made.points.only(np.array([k for k in range(len(made.points.names)) if k not in gone], int))
-        made.doubtful += [f"control: {line}" for line in (*twins(here), *heights_apart(here))]
-        made.doubtful += [f"control: {line}" for line in alone(made.marks, made.points)]
+        told_of = (*twins(here, say), *heights_apart(here, say), *alone(made.marks, made.points, say))
+        made.doubtful += [say("new.control_known", text=line) for line in told_of]
         if not matters and made.fixing < policy.fewest_control:
-            made.missing.append(
-                f"{made.fixing} control points are marked in two pictures and more, "
-                f"{policy.fewest_control} place a block: it will be calibrated, not georeferenced"
-            )
-    made.doubtful += [f"not used: {line}" for line in made.refused]
+            made.missing.append(say("new.few_placing", n=made.fixing, fewest=policy.fewest_control))
+    made.doubtful += [say("new.not_used", text=line) for line in made.refused]
     return made
 
 
@@ -155,15 +158,13 @@ def _with_marks(
     folder: Mapping[str, Path],
 ) -> None:
     """Take the marks in pictures that are there, in the grid that these are stored in."""
-    pictures = {image.name: image for image in facts}
+    pictures, say = {image.name: image for image in facts}, made.say
     marks = named_after(given.marks, pictures)
     absent = Counter(mark.image for mark in marks if mark.image not in pictures)
     if absent:
         every = len({mark.image for mark in marks})
-        made.doubtful.append(
-            f"{len(absent)} of {every} pictures are not in the folder: {listed(list(absent))}; "
-            f"what is marked in them, {absent.total()} of {len(marks)} marks, is not used"
-        )
+        counts = {"n": len(absent), "all": every, "marks": absent.total(), "all_marks": len(marks)}
+        made.doubtful.append(say("new.absent", names=listed(list(absent), say), **counts))
     here, again = dict[tuple[str, str], Mark](), list[Mark]()
     for mark in marks:
         if mark.image not in pictures:
@@ -181,16 +182,18 @@ def _with_marks(
     stored = made.frame.stored(list(here.values()), pictures)
     kept = tuple(mark for mark in stored if inside(mark, pictures[mark.image].size_px))
     made.refused += [
-        f"{mark.place}: {mark.point} at {mark.x:.6g}, {mark.y:.6g} lies outside of {mark.image}"
+        say("new.mark_outside", **_names(mark), x=f"{mark.x:.6g}", y=f"{mark.y:.6g}")
         for mark in stored
         if not inside(mark, pictures[mark.image].size_px)
     ]
-    made.refused += [f"{mark.place}: {mark.point} is marked in {mark.image} already" for mark in again]
+    made.refused += [say("new.mark_again", **_names(mark)) for mark in again]
     if given.rows:
-        made.refused += [
-            f"{mark.place}: {mark.image} is not in the folder" for mark in marks if mark.image in absent
-        ]
+        made.refused += [say("new.mark_absent", **_names(mark)) for mark in marks if mark.image in absent]
     made.marks, made.rows_used = kept, len(kept) if given.rows else 0
+
+
+def _names(mark: Mark) -> dict[str, object]:
+    return {"place": mark.place, "point": mark.point, "image": mark.image}
 
 
 def _useful(marks: Iterable[Mark]) -> bool:
@@ -203,39 +206,34 @@ def _frame(made: NewProject, choice: FrameChoice, *, useful: bool) -> MarkFrame:
     own, best = choice.fit_of(AS_STORED), choice.fits[0]
     if choice.sure and choice.chosen == AS_STORED:
         return AS_STORED
-    as_stored = (
-        f"{own.outside} marks fall outside their pictures" if own.outside else "no size or rotation fits"
-    )
+    say = made.say
+    as_stored = say("new.marks_outside", n=own.outside) if own.outside else say("new.marks_unfit")
     if not np.isnan(own.miss):
-        as_stored += f", and {choice.pairs} pairs of marks differ by {100 * own.miss:.1f} % of the picture"
+        percent = say.fixed(100 * own.miss, 1)
+        as_stored = say("new.marks_differ", text=as_stored, n=choice.pairs, percent=percent)
     if choice.sure:
-        fits = "all fall inside"
+        fits = say("new.marks_inside")
         if choice.pairs:
-            fits = f"{choice.pairs} pairs of marks agree to {100 * best.miss:.1f} % of the picture"
-        made.known.append(
-            f"marks: made in pictures {choice.chosen.said()}, and converted: {fits} (as listed {as_stored})"
-        )
+            fits = say("new.marks_agree", n=choice.pairs, percent=say.fixed(100 * best.miss, 1))
+        frame = choice.chosen.said(say)
+        made.known.append(say("new.marks_converted", frame=frame, fits=fits, as_stored=as_stored))
         return choice.chosen
     if own.outside and not useful:
-        made.doubtful.append(f"marks: {as_stored}; it has no effect, since no point has a second mark")
+        made.doubtful.append(say("new.marks_harmless", text=as_stored))
     elif own.outside:
         offers = ", ".join(
             f'"{fit.frame}"' for fit in choice.fits if fit.frame != AS_STORED and not fit.outside
         )
-        made.asked.append(
-            f"marks: {as_stored}; made in pictures of another size or rotated? photocal new FOLDER --again "
-            f"--marks SIZE says so ({offers or 'such as 1/2, 1/4, exif, 90'}; 1: as they are stored)"
-        )
+        made.asked.append(say("new.marks_asked", text=as_stored, offers=offers or say("new.marks_such")))
     elif not np.isnan(own.miss):
-        made.doubtful.append(
-            f"marks: {as_stored}, and no other size or rotation explains it: check the names of the pictures"
-        )
+        made.doubtful.append(say("new.marks_doubtful", text=as_stored))
     return AS_STORED
 
 
 def _with_system(made: NewProject, written: str, placed: Sequence[ImageFacts], *, placeable: bool) -> None:
     """Settle the coordinate system: of the control if there is any, else of the pictures."""
-    points, text = made.points, made.crs or written
+    points, text, say = made.points, made.crs or written, made.say
+    local = say("new.or_local")
     if not points.names:
         if text and text != "local":
             made.crs = _resolved(made, text, placed, placeable=placeable)
@@ -251,15 +249,13 @@ def _with_system(made: NewProject, written: str, placed: Sequence[ImageFacts], *
         made.crs = _system_of(points, placed)
         if not made.crs:
             offers = at_place(*_middle(placed), points.values[:, :2])
-            example = f' (such as "{zone_of(placed)}")'
-            made.asked.append(f"crs: the system of the control points{_offered(offers, example)}, {_LOCAL}")
+            told = _offered(offers, say) or say("new.crs_such", crs=zone_of(placed))
+            made.asked.append(say("new.crs_asked", offers=told, or_local=local))
     elif placeable:
-        made.asked.append(f'crs: the system of the control points ("EPSG:31982"), {_LOCAL}')
+        made.asked.append(say("new.crs_asked", offers=say("new.crs_plain"), or_local=local))
     else:
         made.crs = "local"
-        made.missing.append(
-            "the system of the control points is not stated: none is needed, they do not place the block"
-        )
+        made.missing.append(say("new.crs_needless"))
 
 
 def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, placeable: bool) -> str:
@@ -268,7 +264,7 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
 
     if text.strip().lower() == "local":
         return "local"
-    xy = made.points.values[:, :2]
+    xy, say = made.points.values[:, :2], made.say
     degrees = bool(len(xy)) and bool((np.abs(xy) <= [180.0, 90.0]).all())
     try:
         system = system_of(text)
@@ -278,73 +274,66 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
         points = made.points
         if system.is_geographic and placed and _turned(xy, placed):
             points = replace(points, values=points.values[:, [1, 0, 2]])
-            made.known.append("control: latitude stands before longitude, as the pictures' positions show")
+            made.known.append(say("new.crs_turned"))
         try:
             listed_there = ControlMarks(text, points, (), assumed=made.assumed)
             moved = in_map_system(listed_there) if len(xy) else None
         except PhotocalError as refusal:
-            made.asked.append(f"crs: {refusal}")
+            made.asked.append(say("new.crs_refused", text=refusal))
             return ""
         if moved is None:
             authority = system.to_authority()
             return ":".join(authority) if authority and not system.is_compound else text
-        if wrong := unfit(moved.crs):
-            made.asked.append(f'crs: {text!r}{wrong}: write a map system (such as "EPSG:31982"), {_LOCAL}')
+        if wrong := unfit(moved.crs, say):
+            local = say("new.or_local")
+            made.asked.append(say("new.crs_unfit", text=text, wrong=wrong, or_local=local))
             return ""
         made.points = moved.points
         made.height = "ellipsoidal" if system.is_geocentric else made.height
-        made.known += _moved(system, moved.crs)
+        made.known += _moved(system, moved.crs, say)
         return moved.crs
     offers = called(text, xy if len(xy) else None)
     if len(offers) == 1 and is_meant(text, offers[0]):
-        made.known.append(f"system: {text!r} is {offers[0]}")
+        made.known.append(say("new.crs_meant", text=text, system=offers[0]))
         return offers[0].code
     if placed and len(xy):
         near = at_place(*_middle(placed), xy)
         offers = tuple(system for system in offers if system in near) or near
     if not placeable:
-        made.missing.append(
-            f"system {text!r} is not known{_offered(offers)}: none is needed, control places nothing"
-        )
+        made.missing.append(say("new.crs_unknown_needless", text=text, offers=_offered(offers, say)))
         return "local"
-    made.asked.append(f"crs: what is {text!r}?{_offered(offers, ' write EPSG:n')}, {_LOCAL}")
+    told = _offered(offers, say) or say("new.crs_write")
+    made.asked.append(say("new.crs_unknown", text=text, offers=told, or_local=say("new.or_local")))
     return ""
 
 
-def _moved(system: Any, crs: str) -> list[str]:
+def _moved(system: Any, crs: str, say: Catalogue) -> list[str]:
     """Say that points were taken to another kind of system, or to another unit."""
     if system.is_geocentric:
-        return [f"control: geocentric coordinates, taken to {crs} and ellipsoidal heights"]
+        return [say("new.crs_geocentric", crs=crs)]
     if unit_m(system) != 1.0:
-        unit = system.axis_info[0].unit_name
-        return [f"control: coordinates in {unit}, taken to {crs} and metres, heights as well"]
+        return [say("new.crs_in_unit", crs=crs, unit=system.axis_info[0].unit_name)]
     return []
 
 
-def _offered(offers: Sequence[MapSystem], example: str = "") -> str:
-    """Candidates with their areas of use, as what may be written."""
+def _offered(offers: Sequence[MapSystem], say: Catalogue) -> str:
+    """Candidates with their areas of use, as what may be written; empty without any."""
     named = [f'"{one.code}" ({one.name}; {one.area.split(".")[0][:60]})' for one in offers]
-    return f" {' or '.join(named)}" if named else example
+    return f" {say('new.or').join(named)}" if named else ""
 
 
 def _with_heights(made: NewProject, placed: Sequence[ImageFacts], *, matters: bool, flown: bool) -> None:
     """Settle the kind of the heights, and the grid that it needs."""
-    control, own = bool(made.points.names), _heights_of(made.crs)
+    control, own, say = bool(made.points.names), _heights_of(made.crs), made.say
     if made.crs == "local":
         made.height = "local"
     elif own and made.height == "ellipsoidal":
-        made.asked.append(
-            f'height: {made.crs} has heights of its own ({own}): "orthometric"; or, with ellipsoidal ones, '
-            f'crs = "{_level(made.crs)}"'
-        )
+        made.asked.append(say("new.height_own", crs=made.crs, own=own, level=_level(made.crs)))
         made.height = ""
     elif own:
         made.height = "orthometric"
         if not matters and (lacks := missing_grids(made.crs, None)):
-            made.known.append(
-                f"grid {', '.join(lacks)} of {made.crs} is missing and not needed: no position is "
-                f"compared with the control points' heights ({own})"
-            )
+            made.known.append(say("new.grid_needless", names=", ".join(lacks), crs=made.crs, own=own))
             made.crs = _level(made.crs)
     elif made.height == "local":
         made.crs = "local"
@@ -352,15 +341,9 @@ def _with_heights(made: NewProject, placed: Sequence[ImageFacts], *, matters: bo
         made.height = "ellipsoidal"
     elif not made.height and not matters:
         made.height, made.height_is_assumed = "orthometric", True
-        made.missing.append(
-            "the kind of the control points' heights: taken as orthometric; no position of the folder is "
-            "compared with them, so that no figure depends on it"
-        )
+        made.missing.append(say("new.height_taken"))
     elif not made.height:
-        else_local = "" if made.crs else ', or "local" with such a crs'
-        made.asked.append(
-            "height: whether the control points' heights are ellipsoidal or orthometric" + else_local
-        )
+        made.asked.append(say("new.height_asked") if made.crs else say("new.height_asked_local"))
     precise = flown or any(np.isfinite(image.position_sigma_m).all() for image in placed)
     if made.height == "orthometric" and made.crs and precise:
         _with_geoid(made, placed)
@@ -389,25 +372,24 @@ def _with_geoid(made: NewProject, placed: Sequence[ImageFacts]) -> None:
     # Around a place, deg: grids are looked up there.
     around = 0.2
     area = (longitude - around, latitude - around, longitude + around, latitude + around)
-    without = f"without one: {FREED}"
+    say, without = made.say, made.say("new.without_grid")
 
     def grid(crs: str) -> str:
         """Say whether the grids of a system are here."""
         lacks = missing_grids(crs, area)
-        return f"{', '.join(lacks)} is missing: photocal fetch-grids {crs}" if lacks else "its grid is here"
+        names = ", ".join(lacks)
+        return say("new.grid_missing", names=names, crs=crs) if lacks else say("new.grid_here")
 
     if system_of(made.crs).is_compound:
         if lacks := missing_grids(made.crs, area):
-            made.doubtful.append(
-                f"grid {', '.join(lacks)} of {made.crs} is not here: photocal fetch-grids {made.crs}; "
-                f"{without}"
-            )
+            names = ", ".join(lacks)
+            made.doubtful.append(say("new.grid_doubtful", names=names, crs=made.crs, without=without))
         return
-    offers = " or ".join(
+    offers = say("new.or").join(
         f'"{made.crs}+{code}" ({name}; {grid(f"{made.crs}+{code}")})'
         for code, name in heights_at(latitude, longitude)
     )
-    made.asked.append(f"crs: with the system of its heights, {offers}; {without}")
+    made.asked.append(say("new.heights_asked", offers=offers, without=without))
     made.crs = ""
 
 

@@ -14,7 +14,8 @@ from photocal.base.files import output_file, rows_text
 from photocal.base.policy import policy
 from photocal.block.model import NO_POINTS, ROLES, ObjectPoints
 from photocal.block.network import OTHER_SURFACE_M
-from photocal.findings.texts import catalogue, finding_text, plain
+from photocal.findings.digits import Number
+from photocal.findings.texts import Catalogue, catalogue, finding_text, plain
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.measurement.control_review import listed as some_names
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
@@ -40,28 +41,35 @@ _ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2")
 
 
 def new_project(
-    folder: Path, crs: str = "", height: str = "", marks: str = "", *, again: bool = False
+    folder: Path,
+    crs: str = "",
+    height: str = "",
+    marks: str = "",
+    language: str = "en",
+    *,
+    again: bool = False,
 ) -> NewProject:
     """Write `project.toml` and, where control stands in another form, `control.csv` and `marks.csv`.
 
     crs, height, marks: what a person says of the control beside its file: system by code or name, kind of
         heights, size and turn of the pictures that its marks were made in.
+    language: of comments, and of what is found, missing and asked.
     again: where they are there already, keep what a person has written, and add what was found since.
     raises InputNotFoundError: when the folder has neither pictures nor a log.
     raises OutputError: when one of the files is there already.
     """
     # Whoever has stated the kind of heights is not asked for it again.
-    told = StatedControl(
-        crs, height or (answered_height(folder) if again else ""), parse_frame(marks) if marks else None
-    )
-    seen = survey(folder, written_before(folder) if again else ())
+    stated = height or (answered_height(folder) if again else "")
+    told = StatedControl(crs, stated, parse_frame(marks) if marks else None, language)
+    say = catalogue(language)
+    seen = survey(folder, say, written_before(folder) if again else ())
     if not seen.pictures and not seen.logs:
         raise InputNotFoundError(
             "has neither pictures nor a flight log",
             "; ".join([*map(_found, seen.control), *seen.unread][:3]) or "name the folder of a flight",
             where=folder,
         )
-    chosen = chosen_pictures(folder, seen.pictures, seen.events)
+    chosen = chosen_pictures(folder, seen.pictures, seen.events, say)
     seen.pictures, seen.events = chosen.pictures, list(chosen.events)
     pictures, facts, frame = chosen.folder, chosen.facts, chosen.frame
     control = _chosen(seen, facts)
@@ -149,7 +157,7 @@ class _Text:
         frame: HeadGroup | None = None,
     ) -> None:
         self.folder, self.seen, self.facts, self.pictures, self.given = folder, seen, facts, pictures, given
-        self.frame = frame
+        self.frame, self.say = frame, catalogue(told.language)
         self.cameras, self.member = group_cameras(facts)
         if frame is not None:
             head_of = {path.name: head for path, head in frame.head.items()}
@@ -171,7 +179,7 @@ class _Text:
     def lines(self) -> Iterator[str]:
         """Give the whole file."""
         name = self.folder.resolve().name
-        yield f"# Written by photocal new; docs/project-file.md has the keys. {ASKED!r}: to be filled in."
+        yield f"# {self.say('new.wrote', asked=ASKED)}"
         yield "[project]"
         yield f"name = {_quoted(name)}"
         yield f"crs = {_quoted(self.crs or ASKED)}"
@@ -184,138 +192,144 @@ class _Text:
             yield from self._heads()
         yield from self._control()
         for left in self.seen.unread[:10]:
-            self.missing.append(f"not used: {left}")
+            self.missing.append(self.say("new.not_used", text=left))
 
     def _height_comment(self) -> str:
         if self.control.height_is_assumed:
-            return "  # assumed: not stated, and no position is compared with them"
+            return f"  # {self.say('new.height_assumed')}"
         if self.crs == "local" or self.control_points.names:
             return ""
         kinds = {image.height_kind for image in self.placed}
         if kinds == {"ellipsoidal"}:
-            return "  # as the pictures state"
-        text = "pictures do not state the reference of their altitudes: heights may be wrong by the geoid"
+            return f"  # {self.say('new.height_stated')}"
+        text = self.say("new.height_unknown")
         if any(image.altitude_kind == ABOVE_TAKE_OFF for image in self.placed):
-            text = "pictures state their height above take-off only: all heights refer to that point"
+            text = self.say("new.height_above_start")
         if "EGM96" in kinds:
-            text = "pictures state heights above the geoid EGM96: ellipsoidal heights differ by its height"
+            text = self.say("new.height_egm96")
         self.missing.append(text)
-        return f"  # used as such: {text}"
+        return f"  # {self.say('new.height_used', text=text)}"
 
     def _flight(self) -> Iterator[str]:
-        seen = self.seen
-        for path in seen.raw_logs:
-            self.missing.append(f"{self._beside(path)} is a raw log: acquire import takes several into one")
-        for path in seen.events:
-            self.known.append(f"list of exposures {self._beside(path)}: with RINEX files, acquire import")
+        seen, say = self.seen, self.say
+        self.missing += [say("new.raw_log", file=self._beside(path)) for path in seen.raw_logs]
+        self.known += [say("new.events", file=self._beside(path)) for path in seen.events]
         if not seen.logs:
             return
-        self.known.append(f"{len(seen.logs)} flight log(s)")
+        self.known.append(say("new.log_found", n=len(seen.logs)))
         yield "\n[flight]"
         yield f"logs = {json.dumps([self._beside(path) for path in seen.logs])}"
-        yield "# base_position = [-22.7, -43.2, 30.0]   # latitude, longitude (deg), ellipsoidal height (m)"
-        yield "\n[rig]  # body axes forward, right, down"
+        yield f"# base_position = [-22.7, -43.2, 30.0]   # {say('new.base_position')}"
+        yield f"\n[rig]  # {say('new.body_axes')}"
         offered = told_mounting(FlightLog(tuple(seen.logs)), "vehicle").camera_to_antenna_m
         if offered is not None:
             arm = ", ".join(f"{value:.3f}" for value in offered)
-            self.known.append(f"antenna ({arm}) m forward, right, down of the body's origin (its parameters)")
-            yield f"# [{arm}] by the vehicle's parameters if the camera sits at its origin (sigma 0.1 m)"
+            self.known.append(say("new.antenna", arm=arm))
+            yield f"# [{arm}] {say('new.antenna_offered')}"
         yield f"camera_to_antenna_m = {_quoted(ASKED)}"
         yield "camera_to_antenna_sigma_m = [0.01, 0.01, 0.01]"
         yield "boresight_sigma_deg = [1.0, 1.0, 1.0]"
         yield "attitude_sigma_deg = [0.5, 0.5, 1.0]"
         yield "time_offset_sigma_s = 0.005"
-        self.asked.append("camera_to_antenna_m in [rig]: from the projection centre to the antenna")
+        self.asked.append(say("new.antenna_asked"))
 
     def _images(self) -> Iterator[str]:
-        count = len(self.facts)
+        count, say = len(self.facts), self.say
         stated = sum(np.isfinite(image.position_sigma_m).all() for image in self.placed)
         others = [where for where in self.seen.pictures if where != self.pictures]
         if self.frame is not None:
             exposures = len(set(self.frame.exposure.values()))
-            by = f"{len(self.frame.heads)} cameras on one frame, by {self.frame.by} of the pictures"
-            self.known.append(f"{by}: {', '.join(self.frame.heads)}; {exposures} exposures")
+            heads, by = self.frame.heads, say(f"new.told.{self.frame.by}")
+            named = {"heads": ", ".join(heads), "exposures": exposures}
+            self.known.append(say("new.frame", n=len(heads), by=by, **named))
             used = {path.parent for path in self.frame.head}
             others = [where for where in others if where not in used]
-        comment = f"{count} pictures in {self._beside(self.pictures)}, {len(self.placed)} with a position"
-        self.known.append(comment + (f", {stated} with its sigma" if stated else ""))
-        self.known += told_beside(self.facts)
+        counted = {"n": count, "folder": self._beside(self.pictures), "placed": len(self.placed)}
+        comment = say("new.pictures", **counted)
+        self.known.append(say("new.pictures_sigma", **counted, stated=stated) if stated else comment)
+        self.known += told_beside(self.facts, say)
         judged = judge_cameras(self.facts, self.cameras, self.member.tolist())
-        self.missing += [finding_text(finding, catalogue("en"), plain) for finding in judged]
+        self.missing += [finding_text(finding, say, plain) for finding in judged]
         self.known += [
-            f"{len(self.seen.pictures[w])} pictures in {self._beside(w)}: not used" for w in others
+            say("new.pictures_left", n=len(self.seen.pictures[where]), folder=self._beside(where))
+            for where in others
         ]
         yield f"\n[images]  # {comment}"
         yield f"folder = {_quoted(self._beside(self.pictures))}"
         if self.listed:
-            yield f"pictures = {_quoted(PICTURES)}  # camera and exposure of each"
+            yield f"pictures = {_quoted(PICTURES)}  # {say('new.pictures_listed')}"
         events = self._events() if stated < count and not (self.seen.logs or self.seen.positions) else []
         tables = self.seen.positions or events
         if len(tables) == 1 and not self.seen.logs:
-            comment = "  # with their sigmas" if stated else ""
+            comment = f"  # {say('new.positions_sigmas')}" if stated else ""
             yield f"positions = {_quoted(self._beside(tables[0]))}{comment}"
         elif tables:
             names = ", ".join(map(self._beside, tables))
-            self.missing.append(f"pictures have positions in {names}: name one as positions in [images]")
-        yield 'lens = "unknown"  # chosen by the fit: brown-ideal, brown-observed, K4, B1; or "given"'
+            self.missing.append(say("new.positions_several", files=names))
+        yield f'lens = "unknown"  # {say("new.lens")}'
         if self.seen.logs or not self.placed or self.crs == "local":
             return
         if stated < len(self.placed):
             sigma = CODE_LEVEL_M if not self.marks else (*CODE_LEVEL_M[:2], OTHER_SURFACE_M)
-            yield f"position_sigma_m = {list(sigma)}  # east, north, up: assumed, not stated by the pictures"
+            yield f"position_sigma_m = {list(sigma)}  # {say('new.sigma_assumed')}"
 
     def _events(self) -> list[Path]:
         """Lists of exposures that may be those of the pictures; says why others are not used."""
-        names, usable = [image.name for image in self.facts], list[Path]()
+        names, usable, say = [image.name for image in self.facts], list[Path](), self.say
         for path in self.seen.events:
             try:
                 listed = list(map(read_positions(path, names), self.facts))
             except PhotocalError as refusal:
-                self.missing.append(f"not used: {refusal}")
+                self.missing.append(say("new.not_used", text=refusal))
                 continue
             apart = [found for found in judge_pictures(listed) if found.code == "table-beside-pictures"]
-            told = [f"{self._beside(path)}: {finding_text(one, catalogue('en'), plain)}" for one in apart]
+            told = [f"{self._beside(path)}: {finding_text(one, say, plain)}" for one in apart]
             known = sum(bool(np.isfinite(image.table_apart_m)) for image in listed)
             if any(2 * found.figures["n"] > known for found in apart):
-                self.missing += [f"not used: {line}" for line in told]
+                self.missing += [say("new.not_used", text=line) for line in told]
                 continue
             usable.append(path)
             self.missing += told
             if own := [image.name for image in listed if image.altitude_kind != "table"]:
-                self.missing.append(
-                    f"{self._beside(path)} has {len(listed) - len(own)} of the {len(listed)} pictures: "
-                    f"positions of {some_names(own)} stay their own"
-                )
+                counted = {"n": len(listed) - len(own), "all": len(listed), "names": some_names(own, say)}
+                self.missing.append(say("new.positions_own", file=self._beside(path), **counted))
         return usable
 
     def _cameras(self) -> Iterator[str]:
         known = {stated.size_px: stated for stated in (self.given.cameras if self.given is not None else ())}
-        member, computed = self.member, self._computed()
+        member, computed, say = self.member, self._computed(), self.say
         for k, name in enumerate(self.cameras):
             stated, taken = self._stated(k), int((member == k).sum())
             if stated.camera.size_px in known:
-                source = f"of {self._beside(self.given.file)}" if self.given is not None else ""
-                yield f"\n[[camera]]  # {taken} pictures; {source}"
-                yield from _given_camera(replace(known[stated.camera.size_px], id=name))
-                self.known.append(f"camera {name}: {source}")
+                of = self.given.file if self.given is not None else None
+                source = say("new.camera_of", file=self._beside(of))
+                yield f"\n[[camera]]  # {say('new.camera', n=taken, source=source)}"
+                yield from _given_camera(replace(known[stated.camera.size_px], id=name), say)
+                self.known.append(say("new.camera_known", name=name, source=source))
                 continue
             if stated.camera.size_px in computed and self._may_be(stated, computed[stated.camera.size_px]):
                 file, own = computed[stated.camera.size_px]
-                source = f"start values of {self._beside(file)}, as its program has estimated them"
-                self.known.append(f"camera {name}: {taken} pictures, {source}")
-                yield f"\n[[camera]]  # {taken} pictures; {source}"
-                yield from _given_camera(replace(own, id=name))
+                source = say("new.camera_started", file=self._beside(file))
+                self.known.append(say("new.camera_found", name=name, n=taken, source=source))
+                yield f"\n[[camera]]  # {say('new.camera', n=taken, source=source)}"
+                yield from _given_camera(replace(own, id=name), say)
                 yield f"estimate = {json.dumps(list(_ESTIMATE))}"
                 continue
-            kind = "a guess" if stated.guessed else f"prior, {100 * stated.share:.2g} %"
-            comment = f"c = {stated.camera.value('c'):.1f} px ({stated.source}; {kind})"
-            self.known.append(f"camera {name}: {taken} pictures, {comment}")
-            yield f"\n[[camera]]  # {taken} pictures; {comment}"
-            yield from _camera(stated)
+            percent = f"{Number(100 * stated.share, say.mark):.2g}"
+            kind = say("new.camera_guess") if stated.guessed else say("new.camera_prior", percent=percent)
+            told = {"c": say.fixed(stated.camera.value("c"), 1), "source": self._source(stated)}
+            comment = say("new.camera_c", **told, kind=kind)
+            self.known.append(say("new.camera_found", name=name, n=taken, source=comment))
+            yield f"\n[[camera]]  # {say('new.camera', n=taken, source=comment)}"
+            yield from _estimated_camera(stated, say)
             if not stated.camera.rolling:
-                yield 'shutter = "unknown"  # tested, and a readout is estimated when it rolls; or "global"'
+                yield f'shutter = "unknown"  # {say("new.shutter")}'
             if stated.guessed:
-                self.missing.append(f"the c of camera {name} is not stated: it is a guess, to be estimated")
+                self.missing.append(say("new.camera_guessed", name=name))
+
+    def _source(self, stated: StatedCamera) -> str:
+        """Where a camera comes from, in words."""
+        return self.say(f"new.told.{stated.source}")
 
     def _computed(self) -> dict[tuple[int, int], tuple[Path, Camera]]:
         """Cameras of .cam files by the size of their pictures, where both leave no doubt."""
@@ -332,10 +346,9 @@ class _Text:
         theirs, ours = (camera.value("c") / camera.pitch[0] for camera in (own, stated.camera))
         if stated.guessed or abs(np.log(theirs / ours)) <= max(UNLIKE, FAR_SIGMAS * stated.share):
             return True
-        self.missing.append(
-            f"not used: {self._beside(file)} is of another camera: c is {theirs:.0f} px there, and "
-            f"{ours:.0f} px as the pictures state ({stated.source})"
-        )
+        figures = {"theirs": f"{theirs:.0f}", "ours": f"{ours:.0f}", "source": self._source(stated)}
+        other = self.say("new.camera_other", file=self._beside(file), **figures)
+        self.missing.append(self.say("new.not_used", text=other))
         return False
 
     def _stated(self, camera: int) -> StatedCamera:
@@ -346,6 +359,7 @@ class _Text:
         """Cameras on one frame: the pictures tell how they are turned, nothing how far they are apart."""
         if self.frame is None:
             return
+        say = self.say
         readouts = [self._stated(k).camera.value("readout") for k in range(len(self.cameras))]
         # By how much later a head may expose than the first, s: by pictures of a recorded head some 10 to 30
         # ms. Where readouts differ, so do their middles: heads begin together, or end together.
@@ -354,16 +368,14 @@ class _Text:
         apart_m = 0.1
         for name, readout in zip(self.cameras[1:], readouts[1:], strict=True):
             half = (readout - readouts[0]) / 2
-            yield "\n[[head]]  # rotated as the pictures state; rotation_deg and its sigma where it is known"
+            yield f"\n[[head]]  # {say('new.head_rotation')}"
             yield f"camera = {_quoted(name)}"
             yield f"of = {_quoted(self.cameras[0])}"
-            yield f"centre_m = [0.0, 0.0, 0.0]  # x right, y up, z backwards of {self.cameras[0]}: assumed"
+            yield f"centre_m = [0.0, 0.0, 0.0]  # {say('new.head_centre', camera=self.cameras[0])}"
             yield f"centre_sigma_m = {apart_m}"
-            yield f"time_s = {half:.4g}  # middle of its readout, where those of all begin together: assumed"
+            yield f"time_s = {half:.4g}  # {say('new.head_time')}"
             yield f"time_sigma_s = {np.hypot(later_s, half):.3g}"
-        self.missing.append(
-            f"the distance between the cameras is not stated: {apart_m} m assumed (centre_m in [[head]])"
-        )
+        self.missing.append(say("new.head_apart", apart=say.as_given(apart_m)))
 
     def pictures_table(self) -> str:
         """Camera and exposure of each picture."""
@@ -375,53 +387,46 @@ class _Text:
         return rows_text(("image", "camera", "exposure"), rows)
 
     def _control(self) -> Iterator[str]:
-        given, points = self.given, self.control_points
+        given, points, say = self.given, self.control_points, self.say
         if given is None or not points.names:
             self.missing += [
-                f"not used: {self._beside(table.file)} has marks, but no table has coordinates of its points"
+                say("new.not_used", text=say("new.marks_alone", file=self._beside(table.file)))
                 for table in self.seen.marks
             ]
             if not self.placed and not self.seen.logs:
-                self.missing.append(
-                    "neither positions nor control: the block will be relative, without scale. Mark both "
-                    "ends of a known distance (points, marks and distances in [control])"
-                )
+                self.missing.append(say("new.no_scale"))
             elif self.pictures is not None:
-                self.missing.append("no control points: no independent check of the result")
+                self.missing.append(say("new.no_control"))
             return
         images = len({mark.image for mark in self.marks})
-        comment = f"{len(points.names)} points of {self._beside(given.file)}, "
-        comment += f"{len(self.marks)} marks in {images} images"
-        self.known.append(f"control: {comment}")
+        counted = {"points": len(points.names), "marks": len(self.marks), "images": images}
+        comment = say("new.control", **counted, file=self._beside(given.file))
+        self.known.append(say("new.control_known", text=comment))
         yield f"\n[control]  # {comment}"
-        yield 'points = "control.csv"' + (
-            f"  # sigmas of {ASSUMED_M[0]} m, in height {ASSUMED_M[1]} m, are assumed"
-            if given.assumed
-            else ""
-        )
+        sigma = dict(zip(("plane", "height"), map(say.as_given, ASSUMED_M), strict=True))
+        yield 'points = "control.csv"' + (f"  # {say('new.control_sigma', **sigma)}" if given.assumed else "")
         frame = self.control.frame
-        yield 'marks = "marks.csv"' + (
-            "" if frame == AS_STORED else f"  # made in pictures {frame.said()}: --marks {str(frame)!r}"
-        )
+        made_in = say("new.marks_frame", frame=frame.said(say), option=str(frame))
+        yield 'marks = "marks.csv"' + ("" if frame == AS_STORED else f"  # {made_in}")
         marked = len({mark.point for mark in self.marks})
         if not self.marks:
-            self.missing.append("no marks of the control points: photocal mark project.toml")
+            self.missing.append(say("new.no_marks"))
         elif marked < policy.fewest_control and self.placed:
-            self.missing.append(f"{marked} control points are marked; {policy.fewest_control} fix a block")
+            self.missing.append(say("new.few_marked", n=marked, fewest=policy.fewest_control))
         if not points.of_role("check").any():
-            self.missing.append("no check points: give some points of control.csv the role check")
+            self.missing.append(say("new.no_checks"))
 
     def _beside(self, path: Path | None) -> str:
         return "" if path is None else Path(os.path.relpath(path, self.folder)).as_posix()
 
 
-def _camera(stated: StatedCamera) -> Iterator[str]:
+def _estimated_camera(stated: StatedCamera, say: Catalogue) -> Iterator[str]:
     """Keys of a camera of the pictures: all is estimated that has a prior, or that rays determine."""
     prior = stated.prior_sigma()
     # Of other lenses those terms that their makers state.
     wanted = prior if stated.camera.lens.relative else {*_ESTIMATE, *prior}
     estimate = [name for name in PARAMETERS if name in wanted]
-    yield from _given_camera(stated.camera)
+    yield from _given_camera(stated.camera, say)
     yield f"estimate = {json.dumps(estimate)}"
     yield "prior_sigma = { " + ", ".join(f"{n} = {s:.3g}" for n, s in prior.items()) + " }"
     if stated.guessed:
@@ -430,7 +435,7 @@ def _camera(stated: StatedCamera) -> Iterator[str]:
         yield f"stated_by = {_quoted(stated.camera.stated_by)}"
 
 
-def _given_camera(camera: Camera) -> Iterator[str]:
+def _given_camera(camera: Camera, say: Catalogue) -> Iterator[str]:
     """Keys of a camera that somebody else has calibrated: held."""
     values = {n: float(v) for n, v in zip(PARAMETERS, camera.values, strict=True) if v or n == "c"}
     yield f"id = {_quoted(camera.id)}"
@@ -440,7 +445,7 @@ def _given_camera(camera: Camera) -> Iterator[str]:
     if camera.unit == "mm":
         yield f"pitch_mm = {list(camera.pitch)}"
     if camera.rolling:
-        yield 'shutter = "rolling"  # its maker states how long a line takes'
+        yield f'shutter = "rolling"  # {say("new.shutter_rolling")}'
     yield f"affinity = {_quoted(camera.affinity)}"
     yield "parameters = { " + ", ".join(f"{n} = {v!r}" for n, v in values.items()) + " }"
 

@@ -18,6 +18,7 @@ from photocal.block.model import Block, ObjectPoints
 from photocal.block.network import ELLIPSOIDAL_M, block_frame
 from photocal.exchange.parts import PointEntry, object_points
 from photocal.exchange.source import read_json
+from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.frames import reference_frame, require_geoid, system_of
 from photocal.geometry.oriented_images import given_places
 from photocal.geometry.systems import heights_at, missing_grids
@@ -160,25 +161,25 @@ def facts_of_pictures(project: Project, most: int | None = _PICTURES) -> list[Im
 
 
 def _check_system(project: Project, place: Place | None) -> None:
-    if project.crs != "local" and (wrong := unfit(project.crs)):
+    if project.crs != "local" and (wrong := unfit(project.crs, catalogue("en"))):
         raise ConfigurationError(f"crs = {project.crs!r}{wrong}", _proposal(place), where=project.path)
 
 
-def unfit(crs: str) -> str:
+def unfit(crs: str, say: Catalogue) -> str:
     """Say why no control can be adjusted in a system; nothing for a map system in metres."""
     from pyproj.exceptions import CRSError
 
     try:
         system = system_of(crs)
     except CRSError:
-        return " is not a known coordinate system"
+        return say("new.unfit_unknown")
     level = system.sub_crs_list[0] if system.is_compound else system
     if level.is_geocentric:
-        return f" ({level.name}) is geocentric, not a map system: photocal new takes its points to one"
+        return say("new.unfit_geocentric", name=level.name)
     if level.is_geographic:
-        return f" ({level.name}) is not a map system: degrees cannot be adjusted"
+        return say("new.unfit_degrees", name=level.name)
     if (unit := level.axis_info[0].unit_name) != "metre":
-        return f" ({level.name}) is in {unit}, not in metres"
+        return say("new.unfit_unit", name=level.name, unit=unit)
     return ""
 
 

@@ -14,9 +14,9 @@ from photocal.hypotheses.table import FAULTS, SYMPTOMS, Fault
 PAGE = Path(__file__).parents[2] / "docs" / "faults.md"
 HEAD = """# Faults that are looked for
 
-Made from the one table of them (`photocal/hypotheses/table.py`) and its texts; what to do stands in
-[the guide](guide/warnings.md). A new fault is one entry there and its texts `term.CODE`, `finding.CODE` and,
-where there is something to do, `remedy.CODE` in `findings_en.toml` and `findings_pt-BR.toml`.
+Made from the table of faults (`photocal/hypotheses/table.py`) and its texts; [the guide](guide/warnings.md)
+says what to do. A new fault is one entry in the table with its texts `term.CODE`, `finding.CODE` and, where
+there is something to do, `remedy.CODE` in `findings_en.toml` and `findings_pt-BR.toml`.
 
 | code | what is wrong | the search frees or adds | prior (m, rad, s, share of c) | what it looks like |
 |---|---|---|---|---|
@@ -29,8 +29,8 @@ def page() -> str:
     """Write the page."""
     symptoms = ", ".join(f"`{code}`" for code in SYMPTOMS)
     return (
-        f"{HEAD}{''.join(map(_row, FAULTS))}\nWhat follows of them and goes with them: {symptoms}.\n"
-        f"{_scatter()}"
+        f"{HEAD}{''.join(map(_row, FAULTS))}\n"
+        f"Symptoms of these faults, which disappear with them: {symptoms}.\n{_scatter()}"
     )
 
 

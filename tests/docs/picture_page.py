@@ -9,38 +9,38 @@ from photocal.measurement.picture_facts import FACTS, Fact
 PAGE = Path(__file__).parents[2] / "docs" / "pictures.md"
 HEAD = """# What pictures say
 
-Made from the one table of facts (`photocal/measurement/picture_facts.toml`). Pictures are asked before people
-are: what stands here is not typed again. Keys are tags of EXIF by their names, or properties of XMP; the
-first one that is written counts. A maker that is not in the table is left with EXIF, and with what he took
-over under the same names. XMP is read as text: entities are not expanded, nothing outside the picture is
-fetched, and length and number are bounded.
+Made from the table of facts (`photocal/measurement/picture_facts.toml`). What a picture states is not asked
+for. Keys are names of EXIF tags or XMP properties; the first key that is present counts. For a maker that
+is not in the table, EXIF is read, and the XMP keys of other makers that it uses as well. XMP is read as
+text: entities are not expanded, nothing outside the picture is fetched, and length and number are bounded.
 
-What differs among the pictures of one camera is a finding: focus or zoom, another body or lens, positions
-without fixed ambiguities among fixed ones, corrections older than 10 s, distortion taken out in the camera,
-sharpening, smear of the flight, a gimbal that turned over ([guide](guide/warnings.md)). What they say of
-temperature, focus, exposure, serial numbers and firmware goes into the conditions of the certificate, with
-the least, the median and the largest value.
+Differences among the pictures of one camera are findings ([guide](guide/warnings.md)): focus or zoom,
+another body or lens, positions without fixed ambiguities among fixed ones, corrections older than 10 s,
+distortion removed in the camera, sharpening, motion blur, a gimbal that turned over. Temperature, focus,
+exposure, serial numbers and firmware are printed in the conditions of the certificate, with the least, the
+median and the largest value.
 
-A maker's calibration is a prior and not a truth. `DewarpData` and `DewarpDataK6` come in with sigmas that
-cover a wrong ratio of fx and fy, a wrong sign of cx or cy, and decentring terms that are not there; B1 and
-B2 are estimated with the rest. Where the adjustment finds the tag wrong, a note (`maker-tag`) says by
-how many pixels in the corner of a picture. cy counts downwards, as OpenCV has it, but for the FC6360
-(Phantom 4 Multispectral): its pictures show it to count upwards. c of a 35 mm equivalent goes by the
-diagonal of 43.27 mm, with a sigma that covers the width of 36 mm.
+A maker's calibration is used as a prior. The sigmas of `DewarpData` and `DewarpDataK6` cover a wrong ratio
+of fx and fy, a wrong sign of cx or cy, and missing decentring terms; B1 and B2 are estimated with the rest.
+When the adjustment finds the tag wrong, a note (`maker-tag`) says by how many pixels in the corner of a
+picture. cy is positive downwards, as in OpenCV; only in pictures of the FC6360 (Phantom 4 Multispectral) it
+is positive upwards. c of a 35 mm equivalent follows from the diagonal of 43.27 mm, with a sigma that covers
+the width of 36 mm.
 
-Heights: `RtkAlt` and `GpsFusionAlt` of DJI are ellipsoidal, and so are heights with RTK; those of Parrot's
-ANAFI and of Skydio are above the geoid EGM96; of others nothing is known, and `photocal new` says so.
+Heights: `RtkAlt` and `GpsFusionAlt` of DJI are ellipsoidal, and so are heights with RTK. Those of Parrot's
+ANAFI and of Skydio are above the geoid EGM96. For other makers the kind is not known, and `photocal new`
+says so.
 
-The laser rangefinder of a thermal or zoom camera is a check of heights, and no observation: `photocal new`
-lists its distances beside the flying height, and `photocal run` holds what the laser hit against the surface
-of the adjusted tie points there (`laser-heights`: bias with its sigma, scatter, change with the distance).
-`photocal flown --terrain DTM.tif` holds it against a terrain model instead.
-Shots through the gaps of a canopy are counted and left out.
+The laser rangefinder of a thermal or zoom camera checks heights; it is not an observation of the block.
+`photocal new` lists its distances beside the flying height. `photocal run` compares the laser's targets
+with the surface of the adjusted tie points there (`laser-heights`: bias with its sigma, scatter, change
+with the distance); `photocal flown --terrain DTM.tif` compares them with a terrain model. Shots through
+gaps of a canopy are left out and counted.
 
-Thermal R-JPEG (H20T and its like) are measured by their preview, as any other picture: six of a Zenmuse H20T
-over trees, 640 x 512, give 323 tie points with a sigma of 0.14 px. The radiometric counts beside the preview
-(segments APP3, 16 bits) give 338 with 0.17 px when they are stretched, and 372 with 0.20 px when their
-contrast is equalised locally: more points, poorer ones, so that they are not used.
+Thermal R-JPEG (H20T and similar) are measured in their preview, as any other picture: six of a Zenmuse H20T
+over trees, 640 x 512, give 323 tie points with a sigma of 0.14 px. The radiometric counts beside the
+preview (segments APP3, 16 bits) are not used, since they give more but poorer points: 338 with 0.17 px when
+they are stretched, and 372 with 0.20 px when their contrast is equalised locally.
 
 | fact | unit | what it is | keys | where it is used |
 |---|---|---|---|---|

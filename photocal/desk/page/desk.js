@@ -42,22 +42,23 @@ addEventListener("unhandledrejection", (event) => {
   fill(document.getElementById("command"), h("span", { role: "alert" }, event.reason.message));
 });
 
-async function reached(asked) {
-  let answer;
+// The connection may end before an answer begins, and in the middle of it.
+async function reached(asked, read) {
   try {
-    answer = await asked;
+    const answer = await asked;
+    const value = await read(answer);
+    offline(false);
+    return [answer, value];
   } catch {
     offline(true);
     throw new Refusal(say("desk.gone"), true);
   }
-  offline(false);
-  return answer;
 }
 
 async function answered(asked) {
-  const answer = await reached(asked);
+  const json = (answer) => ((answer.headers.get("content-type") ?? "").startsWith("application/json") ? answer.json() : {});
+  const [answer, value] = await reached(asked, json);
   if (answer.status === 401) throw new Refusal(say("desk.token"), true);
-  const value = (answer.headers.get("content-type") ?? "").startsWith("application/json") ? await answer.json() : {};
   if (!answer.ok) throw new Refusal(value.error ?? `${answer.status}`);
   return value;
 }
@@ -68,9 +69,9 @@ const context = {
   get: (path) => answered(fetch(path)),
   /** Ask the server for an array of bytes. Throws Refusal. */
   async bytes(path) {
-    const answer = await reached(fetch(path));
+    const [answer, bytes] = await reached(fetch(path), (answer) => answer.arrayBuffer());
     if (!answer.ok) throw new Refusal(`${answer.status}`);
-    return answer.arrayBuffer();
+    return bytes;
   },
   /** Have the server do something; the answer as JSON. Throws Refusal. */
   post: (path, value = {}) =>
@@ -202,7 +203,7 @@ async function route(anew = false) {
 }
 
 async function start() {
-  for (const path of ["/texts.json", "/look/texts.json", "/mark/texts.json"]) Object.assign(texts, await (await fetch(path)).json());
+  for (const path of ["/texts.json", "/look/texts.json", "/mark/texts.json"]) Object.assign(texts, await context.get(path));
   await context.post("/api/language", { language });
   await context.renew();
   await reopen();

@@ -151,6 +151,20 @@ def test_a_debrief_stands_on_the_page_as_soon_as_it_is_written(page: Page, folde
     expect(box.locator(".summary li").first).to_have_text(
         re.compile("0 of [1-9][0-9]* reported pictures have come")
     )
+    # In the words of the other language, where the debrief has written them.
+    own = {
+        "verdict": "Não vá embora.",
+        "summary": ["c 3654,5 ± 1,8 px"],
+        "findings": ["Repetir a faixa 4.", "c"],
+    }
+    content |= {"said": {"pt-BR": own}}
+    (folder / "debrief.json").write_text(json.dumps(content), encoding="utf-8")
+    page.get_by_role("button", name="Português").click()
+    expect(box.locator("p")).to_have_text("Não vá embora.")
+    expect(box.locator(".findings li")).to_have_text(["Repetir a faixa 4."])
+    expect(box.locator(".summary li")).to_have_text([re.compile("chegaram 0 de"), "c 3654,5 ± 1,8 px"])
+    page.get_by_role("button", name="English").click()
+    expect(box.locator("p")).to_have_text("Do not leave.")
     (folder / "debrief.json").unlink()
     expect(box).to_be_hidden()
 

@@ -29,6 +29,8 @@ def test_moments_say_what_their_points_say(photocal: Callable[..., Answer], tmp_
     t = [m / s * 20**0.5 for m, s in zip(mean, std, strict=True)]
     rows = [f"{c},20,{r!r},{v!r}" for c, r, v in zip("ENh", rmse, t, strict=True)]
     (tmp_path / "rmse.csv").write_text("component,n,rmse_m,t\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    own = photocal("check", "--moments", tmp_path / "moments.csv", "--lang", "pt-BR").out
+    assert own.startswith("momentos como publicados; as discrepâncias são produto menos referência")
     of_points = json.loads(photocal("check", "--discrepancies", tmp_path / "points.csv", *ASKED).out)
     for name in ("moments.csv", "rmse.csv"):
         (made,) = json.loads(photocal("check", "--moments", tmp_path / name, *ASKED).out)["sets"]

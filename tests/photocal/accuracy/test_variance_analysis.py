@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from itertools import product
 from pathlib import Path
 
@@ -105,6 +106,9 @@ def test_the_print_of_a_study() -> None:
     assert [one["share"] for one in found["z"]] == pytest.approx([0.861, 0.112, 0.028], abs=0.0006)
     text = " ".join(CliRunner().invoke(app, ["check", "--variance", str(TABLE22)]).output.split())
     assert "analysis of variance of z" in text
+    own = CliRunner().invoke(app, ["check", "--variance", str(TABLE22), "--lang", "pt-BR"]).output
+    of_z = own.partition("análise de variância de z (* a 5 %)")[2]
+    assert re.findall(r"\d+,\d%", of_z)[:3] == ["86,1%", "11,2%", "2,8%"]
 
 
 def test_what_cannot_be_analysed(tmp_path: Path) -> None:

@@ -63,6 +63,8 @@ def test_a_clean_flight_is_complete(flown: Path) -> None:
     assert made.verdict.code == "flight-complete"
     content = json.loads((flown / "work" / "debrief.json").read_text(encoding="utf-8"))
     assert content == json.loads(json.dumps(debrief_json(made)))
+    assert content["said"]["en"]["verdict"] == content["verdict"]["text"]
+    assert content["said"]["pt-BR"]["verdict"].startswith("O voo está completo")
     assert len(content["exposures"]) == len(content["pictures"]) == 10
     assert {one["state"] for one in content["exposures"]} == {"fixed"}
     assert {one["strip"] for one in content["exposures"]} == {1, 2}

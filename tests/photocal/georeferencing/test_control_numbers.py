@@ -9,6 +9,7 @@ import pytest
 
 from photocal.base.errors import ConfigurationError
 from photocal.block.folder import read_block
+from photocal.findings.texts import catalogue
 from photocal.georeferencing.experiment import CHOICES, control_numbers, numbers_text
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
@@ -26,7 +27,7 @@ def test_more_control_is_predicted_and_seen_to_be_better(tmp_path: Path) -> None
     # All but one: each point is judged once.
     judged = [run.check.names for run in outcome.runs if run.control == 6 and run.check is not None]
     assert len({name for names in judged for name in names}) == 7
-    assert "6 control, 7 choices" in numbers_text(figures)
+    assert "6 control, 7 choices" in numbers_text(figures, catalogue("en"))
 
 
 def test_one_surveyed_point_is_refused(tmp_path: Path) -> None:

@@ -7,8 +7,10 @@ import pytest
 from pyproj import Transformer
 
 from photocal.block.model import ObjectPoints
+from photocal.findings.texts import catalogue
 from photocal.measurement.control_review import heights_apart, stray_points, twins
 
+SAY = catalogue("en")
 PLACES = np.array([[634600.0 + 40 * k, 485300.0 - 25 * (k % 3), 110.0 + k] for k in range(6)])
 
 
@@ -19,11 +21,11 @@ def points(places: np.ndarray) -> ObjectPoints:
 
 def test_a_site_as_it_should_be() -> None:
     assert stray_points(points(PLACES), "EPSG:2180") == ()
-    assert [*twins(points(PLACES)), *heights_apart(points(PLACES))] == []
+    assert [*twins(points(PLACES), SAY), *heights_apart(points(PLACES), SAY)] == []
 
 
 @pytest.mark.parametrize(
-    "slip", ["E and N are exchanged", "it is in feet", "it is in EPSG:31983 (SIRGAS 2000"]
+    "slip", ["its E and N are exchanged", "it is in feet", "it is in EPSG:31983 (SIRGAS 2000"]
 )
 def test_a_slip_is_named_and_a_wrong_digit_has_none(slip: str) -> None:
     places = PLACES + np.array([43264.0, 6698931.0, 800.0])
@@ -37,7 +39,7 @@ def test_a_slip_is_named_and_a_wrong_digit_has_none(slip: str) -> None:
     places[4, 0] += 100_000.0
     found = stray_points(points(places), "EPSG:31982")
     assert [one.row for one in found] == [2, 4]
-    assert f"from the others: {slip}" in found[0].said()
+    assert f"from the others: {slip}" in found[0].said(SAY)
     assert found[1].slip == ""
     assert found[1].away_m == pytest.approx(100_000, rel=0.01)
 
@@ -50,7 +52,7 @@ def test_two_heaps_of_which_neither_is_the_site() -> None:
 
 def test_twins_and_heights() -> None:
     places = np.vstack([PLACES, PLACES[0], PLACES[1] + [0.4, 0.3, 0.0], PLACES[2] + [0, 0, 0.5]])
-    told = list(twins(points(places)))
+    told = list(twins(points(places), SAY))
     assert told == [
         "P0 and P6 stand at one place: two names of one point",
         "P1 and P7 stand 0.50 m apart: are they one point?",
@@ -58,10 +60,10 @@ def test_twins_and_heights() -> None:
     ]
     feet = PLACES.copy()
     feet[3, 2] /= 0.3048
-    (one,) = heights_apart(points(feet))
+    (one,) = heights_apart(points(feet), SAY)
     assert "P3" in one
     assert "in feet" in one
     level = PLACES * [1.0, 1.0, 0.0] + [0.0, 0.0, 30.0]
-    assert list(heights_apart(points(level))) == [
+    assert list(heights_apart(points(level), SAY)) == [
         "the heights of all 6 points are 30, which a survey hardly gives"
     ]

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from PIL import Image
 
+from photocal.findings.texts import catalogue
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, facts_of_tags, read_facts
 from photocal.measurement.picture_facts import FACTS, LONGEST, read_xmp
 from photocal.measurement.picture_tests import judge_pictures, told_beside, told_conditions
@@ -89,7 +90,7 @@ def test_a_thermal_camera_with_laser(shared: Path) -> None:
     # In nadir view height above the target and distance agree within 5 cm (README of the pictures).
     for image in own:
         assert image.altitude_m - image.laser_target[2] == pytest.approx(image.laser_m, abs=0.05)
-    (line,) = told_beside(own)
+    (line,) = told_beside(own, catalogue("en"))
     assert line.startswith("laser distances of 6 of 6 pictures: 69.2, ")
     assert line.endswith("flying height above take-off 95.0 m (median)")
 

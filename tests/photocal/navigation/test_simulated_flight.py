@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from photocal.findings.finding import Finding
+from photocal.findings.texts import catalogue
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.exposure_run import (
     ExposureChoices,
@@ -65,7 +66,7 @@ def failed(run: ExposureRun) -> dict[str, Finding]:
 def test_a_right_project_passes(flight: Flight) -> None:
     assert failed(flight.run) == {}
     assert flight.run.figures["placed"] == flight.run.figures["events"]
-    told = exposures_text(flight.run.figures)
+    told = exposures_text(flight.run.figures, catalogue("en"))
     assert "FAILED" not in told
     assert "air between base and rover" in told
 
@@ -77,7 +78,7 @@ def test_17_ms_at_4_and_7_m_s(flight: Flight) -> None:
     value, sigma = check.figures["value"][0], check.figures["sigma"][0]
     assert sigma < 0.001
     assert value == pytest.approx(0.017 + flight.shutter_s, abs=4 * sigma)
-    assert "later than stamped" in exposures_text(run.figures)
+    assert "later than stamped" in exposures_text(run.figures, catalogue("en"))
 
 
 def test_swapped_axes_of_the_lever_arm(flight: Flight) -> None:

@@ -174,6 +174,21 @@ def test_nothing_says_where(tmp_path: Path) -> None:
     assert any("without scale" in line for line in made.missing)
 
 
+def test_a_project_in_portuguese_is_the_same_project(folder: Path) -> None:
+    english = new_project(folder, height="ellipsoidal")
+    theirs = english.path.read_text(encoding="utf-8")
+    english.path.unlink()
+    own = new_project(folder, height="ellipsoidal", language="pt-BR")
+    ours = own.path.read_text(encoding="utf-8")
+    assert tomllib.loads(ours) == tomllib.loads(theirs)
+    assert "# 3 imagens em ., 3 com posição" in ours
+    assert not {line.partition("# ")[2] for line in ours.splitlines()} & {
+        line.partition("# ")[2] for line in theirs.splitlines() if "# " in line
+    }
+    assert len(own.known) == len(english.known)
+    assert not {*own.known, *own.missing} & {*english.known, *english.missing}
+
+
 def test_control_of_an_unknown_system_is_asked_for(folder: Path) -> None:
     (folder / "points.csv").write_text("point,X,Y,Z\n1,1000,2000,30\n2,1010,2000,30\n")
     made = new_project(folder)

@@ -68,20 +68,24 @@ export function picturePane(shared) {
 
   /** All pictures of a point, the worst first: crops around its marks; the worst, or the chosen one, is opened. */
   async function showPoint(name, now) {
-    if (shown?.name !== name) {
-      try {
-        shown = await shared.get(`/api/look/point?name=${encodeURIComponent(name)}`);
-      } catch (refusal) {
-        shown = { name, images: [], place: [], residual_px: [], in_sigmas: [], at: null, refusal: refusal.message };
-      }
-    }
-    const more = block.marking && shown.of_role !== "tie" ? await unmarked(name, shown.images) : [];
+    const point = shown?.name === name ? shown : await pointOf(name);
+    const more = block.marking && point.of_role !== "tie" ? await unmarked(name, point.images) : [];
     if (selection.now !== now) return;
+    // Another point may have been asked for meanwhile: what its answer shows is not taken for this one.
+    shown = point;
     fillStrip(name, now, more);
     selection.seen(shown.images, shown.at);
     const wanted = now.observations.find(([, other]) => other === name)?.[0] ?? shown.images[0];
     const k = shown.images.indexOf(wanted);
     if (wanted) await goTo(wanted, k < 0 ? null : shown.place[k]);
+  }
+
+  async function pointOf(name) {
+    try {
+      return await shared.get(`/api/look/point?name=${encodeURIComponent(name)}`);
+    } catch (refusal) {
+      return { name, images: [], place: [], residual_px: [], in_sigmas: [], at: null, refusal: refusal.message };
+    }
   }
 
   function fillStrip(name, now, more) {

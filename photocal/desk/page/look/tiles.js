@@ -4,6 +4,9 @@ const CROP = { css: 112, half: 28 };
 // Whole pictures are read for crops: one at a time, the last few kept.
 const kept = new Map();
 const MOST_KEPT = 48;
+let closing = false;
+addEventListener("pagehide", () => (closing = true));
+addEventListener("pageshow", () => (closing = false));
 
 function address(name, level, column, row) {
   return `/api/tiles/${encodeURIComponent(name)}/${level}/${column}/${row}`;
@@ -37,7 +40,8 @@ async function downloadTileStart(job) {
     decoded.close();
     job.finish(pen, null, "context2d");
   } catch (failure) {
-    job.fail(failure.message, null);
+    // Tiles break off with the page that asked for them: nothing has gone wrong.
+    if (!closing) job.fail(failure.message, null);
   }
 }
 
