@@ -27,8 +27,8 @@ from photocal.adjustment.state import State
 from photocal.base.arrays import Floats, Integers
 
 # Steps of the whole block: so many at most, by differences over so many sigmas, as if each were resisted by
-# this much at least, and until no more than this is gained.
-NEWTON, SMALL, FLATTEST, CONVERGED = 10, 0.01, 1e-6, 1e-14
+# this much at least, until no more than this is gained, or this share of what is worth a step.
+NEWTON, SMALL, FLATTEST, CONVERGED, LITTLE = 10, 0.01, 1e-6, 1e-14, 0.01
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,10 @@ def _displacements(relative: Floats) -> Floats:
     """Displacement of places, shape (n, 3), per unit of each of the seven transformations, (n, 3, 7)."""
     moves = np.zeros((len(relative), 3, 7))
     moves[:, :, :3] = np.eye(3)
-    moves[:, :, 3:6] = np.moveaxis(np.cross(np.eye(3)[:, None, :], relative), 0, 2)
+    # Of a turn about each axis: its cross product with the place.
+    for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        moves[:, b, 3 + a] = -relative[:, c]
+        moves[:, c, 3 + a] = relative[:, b]
     moves[:, :, 6] = relative
     return moves
 
@@ -184,7 +187,10 @@ def at_rest(problem: Problem, state: State, worth: float) -> State | None:
             change, gain = change / 4, gain / 4
         else:
             break
-        state, chi_squared, slope = moved, lower, there[0]
+        state, chi_squared, slope, curvature = moved, lower, *there
+        # The next step of the whole adjustment goes on from here.
+        if _newton(curvature, slope, unit)[1] < LITTLE * worth:
+            break
     return state
 
 
