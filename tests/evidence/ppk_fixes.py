@@ -62,6 +62,10 @@ class Case:
 
 _POOR = replace(ROVER, code_multipath_m=2.0, phase_multipath_m=0.012, cn0_dbhz=44.0)
 _TORN = replace(_POOR, slips_per_hour=360.0)
+# Between houses: codes off by metres for a minute, as what leads other engines to fix 5 to 18 m beside.
+_URBAN = replace(
+    _POOR, code_multipath_m=6.0, phase_multipath_m=0.03, multipath_time_s=60.0, slips_per_hour=60.0
+)
 CASES = (
     Case("two frequencies, quiet"),
     Case("two frequencies, each signal slips every 10 s", replace(ROVER, slips_per_hour=360.0)),
@@ -72,6 +76,8 @@ CASES = (
     Case("one frequency, a slip every minute", replace(ROVER, slips_per_hour=60.0), two_frequencies=False),
     Case("one frequency, strong multipath and weak signals", _POOR, two_frequencies=False),
     Case("one frequency, strong multipath, each signal slips every 10 s", _TORN, two_frequencies=False),
+    Case("two frequencies, between houses", _URBAN),
+    Case("one frequency, between houses", _URBAN, two_frequencies=False),
     Case("one frequency, base 5 km away", away_m=5_000.0, two_frequencies=False),
     Case("one frequency, base 15 km away", away_m=15_000.0, two_frequencies=False),
     Case(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import functools
 import io
 import time
 from collections.abc import Callable
@@ -83,7 +84,7 @@ def test_alike_frames_of_two_recordings_are_two(tmp_path: Path) -> None:
     """Numbers begin anew with each recording; what decides is the file's own word of where it belongs."""
     numbers, paths = np.arange(20), list[Path]()
     for second in (1_700_000_000, 1_700_000_100):
-        files = LogFiles([tmp_path], lambda _: None, lambda second=second: second * 1_000_000_000)
+        files = LogFiles([tmp_path], lambda _: None, functools.partial(int, second * 1_000_000_000))
         files.messages(CHANNEL, [b"%d" % n for n in numbers.tolist()], numbers + 5, numbers + 5, numbers)
         files.close()
         paths += files.paths
