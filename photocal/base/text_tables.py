@@ -20,6 +20,8 @@ from photocal.base.errors import InputMalformedError, InputNotFoundError, Output
 # As spreadsheets of half the world write them: 1234,5 and 1.234,5.
 _COMMA = r"[+-]?(\d+|\d{1,3}(\.\d{3})+)(,\d+)?([eE][+-]?\d+)?"
 _HEAD_BYTES = 1 << 20
+# Lines among which the heads are.
+_TITLES = 20
 # Tables of observations and residuals that are longer are written as Parquet.
 LONG_TABLE = 500_000
 MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
@@ -31,12 +33,14 @@ class TextTable:
 
     lines: whether rows can be named by their line.
     separator: of the cells; where it is no comma, numbers may have a decimal comma.
+    titles: lines before the heads, which have no cells.
     """
 
     path: Path
     columns: Any
     lines: bool
     separator: str = ","
+    titles: int = 0
 
     def __len__(self) -> int:
         return int(self.columns.num_rows)
@@ -53,7 +57,7 @@ class TextTable:
         seen = -1
         with self.path.open(encoding="utf-8", errors="replace") as text:
             for number, line in enumerate(text, start=1):
-                seen += bool(line.strip("\r\n"))
+                seen += number > self.titles and bool(line.strip("\r\n"))
                 if seen == row + 1:
                     return f"{self.path}, line {number}"
         return str(self.path)
@@ -225,7 +229,7 @@ def _read_parquet(path: Path) -> TextTable:
 
 
 def _read_csv(path: Path) -> TextTable:
-    encoding, header = _head(path)
+    encoding, titles, header = _head(path)
     separator = max(",;\t", key=header.count)
     names = [name.strip().strip('"') for name in header.split(separator)]
     texts = pyarrow.csv.ConvertOptions(
@@ -235,20 +239,20 @@ def _read_csv(path: Path) -> TextTable:
         columns = pyarrow.csv.read_csv(
             path,
             read_options=pyarrow.csv.ReadOptions(
-                use_threads=False, encoding=encoding, column_names=names, skip_rows=1
+                use_threads=False, encoding=encoding, column_names=names, skip_rows=titles + 1
             ),
             parse_options=pyarrow.csv.ParseOptions(delimiter=separator, newlines_in_values=True),
             convert_options=texts,
         )
     except (pa.ArrowInvalid, UnicodeError) as failure:
         raise _cut(path, str(failure)) from failure
-    table = TextTable(path, columns, lines=True, separator=separator)
+    table = TextTable(path, columns, lines=True, separator=separator, titles=titles)
     _refuse_cut_end(table)
     return table
 
 
-def _head(path: Path) -> tuple[str, str]:
-    """Encoding of a text, by its mark or its first million bytes, and its first line."""
+def _head(path: Path) -> tuple[str, int, str]:
+    """Encoding of a text, by its mark or its first million bytes, titles before its heads, and these."""
     with path.open("rb") as text:
         start = text.read(_HEAD_BYTES)
     encoding = next((name for mark, name in MARKS if start.startswith(mark)), "utf-8")
@@ -257,7 +261,13 @@ def _head(path: Path) -> tuple[str, str]:
         head = codecs.getincrementaldecoder(encoding)().decode(start)
     except UnicodeDecodeError:
         encoding, head = "cp1252", start.decode("cp1252", "replace")
-    return encoding, head.lstrip("\ufeff").replace("\r", "\n").split("\n", 1)[0]
+    lines = head.lstrip("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")[:_TITLES]
+    cells = [sum(bool(cell.strip()) for cell in re.split("[,;\t]", line)) for line in lines]
+    titles = next((k for k, count in enumerate(cells) if count > 1), 0)
+    # A point and its place are four cells.
+    fewest = 4
+    titles = titles if cells[titles] >= fewest else 0
+    return encoding, titles, lines[titles]
 
 
 def _cut(path: Path, message: str) -> InputMalformedError:

@@ -18,7 +18,7 @@ PLACES = {
     "G3": (425437.5, 4583592.0, 211.0),
 }
 HEAD = "name,easting,northing,height"
-UNKNOWN = "Nr.;Wert A;Wert B;Wert C"
+ROW, UNKNOWN = "{p},{E},{N},{Z}", "Nr.;Wert A;Wert B;Wert C"
 Photocal = Callable[..., Answer]
 
 
@@ -46,6 +46,11 @@ TABLES = {
     "german blanks": ("werte.txt", "Punkt Nord Ost Hoehe", "{p} {N} {E} {Z}"),
     "portuguese": ("apoio.csv", "Ponto;Coordenada E;Coordenada N;Altitude Geométrica", "{p};{E};{N};{Z}"),
     "spanish": ("datos.csv", "Punto;Este;Norte;Elevación", "{p};{E};{N};{Z}"),
+    "with a title": (
+        "gcp.csv",
+        "Points of 12/03/2024;;;\n\n# SIRGAS2000\nNome;E(m);N(m);H(m)",
+        "{p};{E};{N};{Z}",
+    ),
     "numbered": ("gcp.csv", "id,name,easting,northing,height", "1,{p},{E},{N},{Z}"),
 }
 COMMAS = ("german", "portuguese", "spanish")
@@ -78,8 +83,9 @@ def test_what_receivers_export_is_read(tmp_path: Path, photocal: Photocal, kind:
 @pytest.mark.parametrize(
     ("row", "head", "again", "said"),
     [
-        ("{p},{E},{N},{Z}", (HEAD,), "G1,425397.763,4583557.553,212.5", "listed twice"),
-        ("{p},{E},{N},{Z}", (HEAD,), "G1,1,2,3", "twice, with other coordinates before"),
+        (ROW, (HEAD,), "G1,425397.763,4583557.553,212.5", "listed twice"),
+        (ROW, (HEAD,), "G1,1,2,3", "twice, with other coordinates before"),
+        (ROW, ("title", HEAD), "G1,1,2,3", "line 6: G1 is listed twice, with other coordinates before"),
         ("{p} {E} {N} {Z}", (), "G1 425397.763 4583557.553 212.5", "line 4: G1 is listed twice"),
     ],
 )  # fmt: skip
