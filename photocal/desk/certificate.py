@@ -60,7 +60,7 @@ _DAYS = ("until",)
 
 def fields(path: Path | None, told: Mapping[str, Mapping[str, str | float]]) -> list[dict[str, Any]]:
     """Every field with what was typed, and with what the pictures say where nothing was."""
-    typed = _tables(path)
+    typed = _typed(path).unwrap()
     return [
         {
             "key": f"{section}.{key}",
@@ -78,11 +78,9 @@ def _shown(value: Any) -> str:
     return "" if value is None else str(value)
 
 
-def _tables(path: Path | None) -> dict[str, Any]:
-    if path is None or not path.is_file():
-        return {}
-    unwrapped: dict[str, Any] = tomlkit.parse(path.read_text(encoding="utf-8-sig")).unwrap()
-    return unwrapped
+def _typed(path: Path | None) -> tomlkit.TOMLDocument:
+    there = path is not None and path.is_file()
+    return tomlkit.parse(path.read_text(encoding="utf-8-sig")) if there and path else tomlkit.document()
 
 
 def written(path: Path | None, given: Mapping[str, str]) -> str:
@@ -90,8 +88,7 @@ def written(path: Path | None, given: Mapping[str, str]) -> str:
 
     raises ConfigurationError: for a key that is none of the form, and for what is no number or no day.
     """
-    there = path is not None and path.is_file()
-    document = tomlkit.parse(path.read_text(encoding="utf-8-sig")) if there and path else tomlkit.document()
+    document = _typed(path)
     for name, text in given.items():
         section, _, key = name.partition(".")
         if key not in FORM.get(section, ()):

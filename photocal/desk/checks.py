@@ -33,7 +33,7 @@ def state(desk: Desk) -> dict[str, Any]:
     """What the last check has found, and the debrief as it stands."""
     job = desk.job(JOB).state()
     return {
-        "checked": checked(desk),
+        "checked": desk.in_its_language(checked(desk)),
         "debrief": debrief(desk),
         "job": job,
         "error": with_field(job["error"]),
@@ -59,7 +59,8 @@ def _check(desk: Desk) -> dict[str, Any]:
     """Ask the machine, and hold the inputs of the project against each other."""
     from photocal.run.project_checks import check_project
 
-    content: dict[str, Any] = {"machine": asked(_doctor(desk)), "problem": None}
+    machine = asked(_doctor(desk))
+    content: dict[str, Any] = {"machine": machine, "problem": None, "language": desk.language}
     try:
         check_project(desk.project())
     except PhotocalError as refusal:

@@ -89,7 +89,8 @@ def project(desk: Desk) -> dict[str, Any]:
     """What is known of the folder that is open: its project file as a form, and what `new` has said."""
     holds = _holds(desk, desk.folder)
     form = project_file.shown(desk.file) if desk.file.is_file() else None
-    return {"holds": holds, "form": form, "said": said(desk), "line": desk.line(["new", desk.folder])}
+    told = desk.in_its_language(said(desk))
+    return {"holds": holds, "form": form, "said": told, "line": desk.line(["new", desk.folder])}
 
 
 def said(desk: Desk) -> dict[str, Any] | None:
@@ -179,8 +180,8 @@ def _new(desk: Desk, crs: Short = "", height: Short = "", marks: Short = "") -> 
         (desk.folder / FOLDER).mkdir(exist_ok=True)
         with output_file(desk.folder / FOLDER / _SAID) as aside:
             frames = before.get("frames", []) if marks else answer["frames"]
-            kept = {**answer, "frames": frames, "marks": marks, "line": desk.line(arguments)}
-            aside.write_text(json.dumps(kept), encoding="utf-8")
+            told = {"marks": marks, "line": desk.line(arguments), "language": desk.language}
+            aside.write_text(json.dumps({**answer, "frames": frames, **told}), encoding="utf-8")
     return project(desk)
 
 

@@ -95,6 +95,10 @@ class Desk:
             return str(path)
         return resolved.relative_to(self.root).as_posix()
 
+    def in_its_language(self, said: dict[str, Any] | None) -> dict[str, Any] | None:
+        """What a command has said, if it was in the language of the window; None otherwise."""
+        return said if said is not None and said.get("language", "en") == self.language else None
+
     def shown(self) -> dict[str, Any]:
         """What the page says of itself."""
         return {"root": str(self._given), "folder": self.named(self.folder), "file": self.file.is_file()}

@@ -10,6 +10,7 @@ from tests.docs import (
     desk_pictures,
     evidence_page,
     fault_page,
+    first_pictures,
     gallery_page,
     monitor_picture,
     picture_page,
@@ -20,6 +21,7 @@ command_pages.main()
 architecture_figure.main()
 fault_page.main()
 desk_pictures.main()
+first_pictures.main()
 certificate_picture.main()
 monitor_picture.main()
 picture_page.main()

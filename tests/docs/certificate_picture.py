@@ -20,19 +20,24 @@ _COLOURS = 64
 
 
 def main() -> None:
-    """Write it as the PDF has it, where poppler is there to draw with."""
-    draw = shutil.which("pdftoppm")
-    if draw is None:
-        print("no pdftoppm: the picture of the certificate stays as it is")
-        return
+    """Write it as the PDF has it."""
     with tempfile.TemporaryDirectory() as folder:
         calibrate(_BLOCK, Path(folder))
+        draw_page(Path(folder) / "certificate" / "certificate.pdf", CERTIFICATE)
+
+
+def draw_page(written: Path, picture: Path) -> None:
+    """Draw the first page of a document, where poppler is there to draw with."""
+    draw = shutil.which("pdftoppm")
+    if draw is None:
+        print(f"no pdftoppm: {picture.name} stays as it is")
+        return
+    with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "page"
-        written = Path(folder) / "certificate" / "certificate.pdf"
         command = [draw, "-png", "-singlefile", "-r", str(_PPI), str(written), str(page)]
         subprocess.run(command, check=True)
         with Image.open(page.with_suffix(".png")) as drawn:
-            drawn.convert("RGB").quantize(_COLOURS).save(CERTIFICATE, optimize=True)
+            drawn.convert("RGB").quantize(_COLOURS).save(picture, optimize=True)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ STEPS = {
     "look": "main canvas",
     "certificate": "iframe.preview",
 }
-_PATIENCE_MS, _SETTLES_MS = 400_000, 3_000
+_PATIENCE_MS, SETTLES_MS = 400_000, 3_000
 # What is marked wrong in the picture of the place Mark, and how far; sigma of the marks in column and row.
 _WRONG, _BESIDE_PX, _SIGMA_PX = ("p2.png", 4), 0.8, (0.03, 0.03)
 MARKING = ROOT / "docs" / "marking.png"
@@ -63,23 +63,33 @@ def processed() -> Iterator[Path]:
             os.chdir(before)
 
 
-def main() -> None:
-    """Write them, where there is a browser to look with."""
+@contextlib.contextmanager
+def window(site: Path, language: str = "en-US") -> Iterator[tuple[Page | None, str]]:
+    """The window on a project on a field laptop, and its address; no page where there is no browser."""
     path = shutil.which("chromium") or shutil.which("chromium-browser")
     if path is None:
         print("no chromium: the pictures of the desk stay as they are")
+        yield None, ""
         return
     from playwright.sync_api import sync_playwright
 
     with (
-        processed() as site,
         tempfile.TemporaryDirectory() as cache,
         serving(application(site, Path(cache)), Address("127.0.0.1", 0)) as url,
         sync_playwright() as playwright,
     ):
         browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1366, "height": 768}, locale="en-US")
+        page = browser.new_page(viewport={"width": 1366, "height": 768}, locale=language)
         page.set_default_timeout(_PATIENCE_MS)
+        yield page, url
+        browser.close()
+
+
+def main() -> None:
+    """Write them, where there is a browser to look with."""
+    with processed() as site, window(site) as (page, url):
+        if page is None:
+            return
         for step, shown in STEPS.items():
             page.goto(f"{url}#/{step}")
             page.wait_for_selector("main h1, main canvas")
@@ -93,11 +103,10 @@ def main() -> None:
                 page.get_by_text("Preview, number").wait_for()
             if step == "look":
                 page.locator(".thumb").nth(2).click()
-            page.wait_for_timeout(_SETTLES_MS)
+            page.wait_for_timeout(SETTLES_MS)
             page.evaluate(_WITHOUT_PLACE, str(ROOT))
             page.screenshot(path=GUIDE / f"desk-{step}.png")
         marked_wrong(page)
-        browser.close()
 
 
 def marked_wrong(page: Page) -> None:
@@ -120,7 +129,7 @@ def marked_wrong(page: Page) -> None:
             page.keyboard.press("a")
             page.locator(".marking[data-adjusted]").wait_for()
             page.keyboard.press("c")
-            page.wait_for_timeout(_SETTLES_MS)
+            page.wait_for_timeout(SETTLES_MS)
             page.screenshot(path=MARKING)
 
 

@@ -363,7 +363,12 @@ def test_verdict_and_debrief_are_said_in_the_language_of_the_window(
         assert of_run == issued
         return of_run["paragraph"], " ".join(of_run["said"]), flown["verdict"]["text"], flown["summary"][0]
 
+    # What a command has said in another language is no longer shown.
+    good(window.post("/api/check/start"))
+    machine = good(window.get("/api/check")).json["checked"]["machine"]
+    assert "clock" in {one["part"] for one in machine}
     english, portuguese = told("en"), told("pt-BR")
+    assert good(window.get("/api/check")).json["checked"] is None
     assert ["block" in english[0], "bloco" in portuguese[0]] == [True, True]
     assert "flight is complete" in english[2]
     assert "voo está completo" in portuguese[2]

@@ -185,10 +185,13 @@ export function picturePane(shared) {
   }
 
   function tellFacts() {
+    facts.title = "";
     if (!told.station) return fill(facts, say("look.takes-no-part"));
     const lengths = told.residual_px.map((v) => (v[0] === null ? NaN : Math.hypot(...v))).filter(Number.isFinite);
     const rms = Math.sqrt(lengths.reduce((sum, v) => sum + v * v, 0) / (lengths.length || 1));
-    fill(facts, `${say("look.n-rays", { n: lengths.length })} · rms ${number(rms, language)} px · σ ${told.station_sigma_m.map((s) => metres(s, language)).join(", ")}`);
+    // It may be longer than its place in the bar.
+    facts.title = `${say("look.n-rays", { n: lengths.length })} · ${say("look.rms")} ${number(rms, language)} px · σ ${told.station_sigma_m.map((s) => metres(s, language)).join(", ")}`;
+    fill(facts, facts.title);
   }
 
   /** Pixels of the screen for one of the picture seen whole: vectors stay as long when one zooms. */
@@ -210,11 +213,14 @@ export function picturePane(shared) {
     const scale = factor * shrunk();
     const chosen = new Set(selection.now.points);
     edge(pen);
-    told.place.forEach((place, k) => {
-      const [x, y] = viewer.onScreen(place);
-      if (x < -60 || y < -60 || x > width + 60 || y > height + 60) return;
+    // Surveyed and chosen points are drawn last: their names lie above the vectors of the others.
+    const above = (k) => told.role[k] !== "tie" || chosen.has(told.points[k]);
+    const order = [...told.place.keys()].sort((one, other) => above(one) - above(other));
+    for (const k of order) {
+      const [x, y] = viewer.onScreen(told.place[k]);
+      if (x < -60 || y < -60 || x > width + 60 || y > height + 60) continue;
       ray(pen, [x, y], told.residual_px[k], scale, { role: told.role[k], far: told.in_sigmas[k] > FAR, name: told.points[k], chosen: chosen.has(told.points[k]) });
-    });
+    }
     for (const { point, place } of told.predicted ?? []) predicted(pen, viewer.onScreen(place), point, chosen.has(point));
     scaleBar(pen, scale, height);
   }
