@@ -22,6 +22,9 @@ from photocal.navigation.trajectory import Geodetic, Trajectory
 
 FIXED, FLOAT = 1, 2
 _LEAST_SIGMA_M = 1e-4
+# Multipath and air of lower satellites spoil the search for whole cycles; they take part as floats, which
+# place no fix.
+_SEARCHED_DEG = 20.0
 _STATUS = {1: "fixed", 2: "float"}
 # What differences do not remove of orbits, troposphere and ionosphere: a millimetre per kilometre at quiet
 # times (Odijk 2002, chapter 3).
@@ -191,7 +194,7 @@ def read_satellite_residuals(path: Path) -> SatelliteResiduals:
 
 def shift_by_zenith_delay(satellites: SatelliteResiduals) -> Floats:
     """Return by how much positions move for each metre of zenith delay that is not taken into account."""
-    first = satellites.frequency == 1
+    first = (satellites.frequency == 1) & (satellites.elevation >= np.radians(_SEARCHED_DEG))
     epochs = np.unique(satellites.time.ns[first])
     moved = []
     most_epochs = 200
@@ -405,8 +408,7 @@ def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) 
         "pos2-armode": "continuous",
         "pos2-gloarmode": "on",
         "pos2-arthres": f"{options.ratio:g}",
-        # Multipath and air of low satellites spoil the search for whole cycles; as floats they take part.
-        "pos2-arelmask": "20",
+        "pos2-arelmask": f"{_SEARCHED_DEG:g}",
         "out-solformat": "llh",
         "out-outhead": "on",
         "out-outvel": "on",

@@ -83,7 +83,7 @@ def judge(
         "off the code position": fixed & _off_code(here, combined, code, origin),
     }
     left = fixed & ~np.any(list(demoted.values()), axis=0)
-    broken = _broken(directions == FIXED, separation, steps)
+    broken = _broken(combined.time, directions == FIXED, separation, steps)
     lonely = left & _lonely(combined.time, left, broken) & ~both
     lonely &= ~_carried(combined.time, left & ~lonely, directions == FIXED, separation)
     demoted["few fixes in a row, not confirmed"] = lonely
@@ -192,13 +192,14 @@ def _runs(time: GpsTime, fixed: Flags, broken: Flags | None = None) -> list[tupl
     return list(zip(np.flatnonzero(begins).tolist(), (np.flatnonzero(ends) + 1).tolist(), strict=True))
 
 
-def _broken(fixed: Flags, separation: Floats, steps_m: Floats) -> Flags:
+def _broken(time: GpsTime, fixed: Flags, separation: Floats, steps_m: Floats) -> Flags:
     """Tell between which epochs the fixes of a direction leap, against what floats in the other.
 
     fixed (n, 2) and steps_m (n - 1, 2), movement that the Doppler velocity does not know, of both directions.
     """
     leaps = (np.abs(np.diff(separation, axis=0)) > _SAME_FIX_M).any(axis=1)
-    held = fixed[1:] & fixed[:-1]
+    # Over longer steps a float moves by as much of itself.
+    held = fixed[1:] & fixed[:-1] & (np.diff(time.ns) <= _RUN_GAP_NS)[:, None]
     # Of the two the rougher has leapt; where that is the float, its ambiguities have slipped.
     return np.asarray(leaps & (held & (steps_m > steps_m[:, ::-1])).any(axis=1))
 
