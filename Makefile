@@ -83,11 +83,15 @@ quick: $(READY)
 wheel: $(READY)
 	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation -w dist .
 
+# The types of other systems are checked beside those of this one.
+MYPY := $(BIN)/mypy --explicit-package-bases
 check: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy --explicit-package-bases
-	for system in win32 darwin; do $(BIN)/mypy --explicit-package-bases --platform $$system acquire drivers photocal || exit 1; done
+	@( for system in win32 darwin; do \
+		$(MYPY) --cache-dir .mypy_cache/$$system --platform $$system acquire drivers photocal || exit 1; \
+	done ) & others=$$!; \
+	$(MYPY); here=$$?; wait $$others && exit $$here
 
 bench: $(READY)
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-only
