@@ -3,7 +3,8 @@
 import hashlib
 import pickle
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from typing import cast
 
@@ -198,8 +199,10 @@ def with_moving_images(
     network, solution = with_lags(rolling, solution, report)
     shaking, solution = with_shake(network, solution, report)
     if shaking is not network:
-        # What vibrates may have passed for readout: gusts get their room anew.
-        network, solution = _settled(shaking, solution, report, changed=False)
+        network = shaking
+        # What vibrates may have passed for readout: gusts get their room anew, where images bear it.
+        with suppress(IllPosedError, NotConvergedError):
+            network, solution = _settled(shaking, solution, report, changed=False)
     place = {camera.id: k for k, camera in enumerate(network.cameras)}
     if network is not rolling:
         readouts = tuple(
@@ -220,7 +223,9 @@ def adjust_moving_images(network: Network, report: Report | None = None) -> Move
     rolls = any(camera.shutter == "unknown" or camera.estimated[READOUT] for camera in network.cameras)
     if network.exposures.motion is None or not rolls or network.relations.further:
         return with_moving_images(network, adjust(network, report), report)
-    return _last_moved(_Asked(hashlib.sha256(pickle.dumps(network)).digest(), network, report))
+    # Its fields alone: what it has worked out since is no content.
+    content = hashlib.sha256(pickle.dumps(asdict(network))).digest()
+    return _last_moved(_Asked(content, network, report))
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import random
 import signal
 import socket
@@ -10,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -25,6 +27,20 @@ PATIENCE_S = 120.0
 _POLL_S = 0.02
 # Below those that the system gives away by itself (ip_local_port_range begins at 32768).
 _PORTS = range(10_000, 32_000)
+
+
+@contextlib.contextmanager
+def full_pipe() -> Iterator[int]:
+    """Give a pipe that is full, which nobody reads."""
+    ours, theirs = os.pipe()
+    os.set_blocking(theirs, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(theirs, b"x" * 512)
+    os.set_blocking(theirs, True)
+    yield theirs
+    for end in (ours, theirs):
+        os.close(end)
 
 
 def until(look: Callable[[], Found], what: str) -> Found:

@@ -22,7 +22,7 @@ from acquire.log.chunk import MAGIC
 from acquire.log.replay import raw_frames
 from drivers import ubx
 from photocal.base.errors import InputMalformedError
-from tests.acquire.live import PATIENCE_S, free_port, is_bound, until
+from tests.acquire.live import PATIENCE_S, free_port, full_pipe, is_bound, until
 
 # What is older than this at a kill must be on the disk: a flush, the next one and room for a busy computer.
 DUE_S = 1.2
@@ -139,20 +139,6 @@ def paused_terminal() -> Iterator[int]:
     ours, theirs = os.openpty()
     tty.setraw(theirs)
     termios.tcflow(theirs, termios.TCOOFF)
-    yield theirs
-    for end in (ours, theirs):
-        os.close(end)
-
-
-@contextlib.contextmanager
-def full_pipe() -> Iterator[int]:
-    """Give a pipe that is full, which nobody reads."""
-    ours, theirs = os.pipe()
-    os.set_blocking(theirs, False)
-    with contextlib.suppress(BlockingIOError):
-        while True:
-            os.write(theirs, b"x" * 512)
-    os.set_blocking(theirs, True)
     yield theirs
     for end in (ours, theirs):
         os.close(end)

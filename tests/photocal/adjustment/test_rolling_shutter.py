@@ -11,6 +11,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.normal import diagonal_addresses, normal_equations, other_equations, prepare
 from photocal.adjustment.readout import (
     Readout,
+    adjust_moving_images,
     rolls_whatever_the_lens,
     with_moving_images,
     with_readouts,
@@ -103,6 +104,30 @@ def test_vibration_within_the_readout_is_held() -> None:
     solution = adjust(steady)
     assert solution.variance_factor > 2.0
     assert max(abs(error) for error in flights.standardised(truth, steady, solution).values()) > 4.0
+
+
+@pytest.mark.parametrize(("case", "seed", "vibration_deg"), [("positions", 2, 0.03), ("attitudes", 3, 0.1)])
+def test_gusts_have_the_room_of_the_readout_beside_vibration(
+    case: flights.Case, seed: int, vibration_deg: float
+) -> None:
+    """From before vibration was found they had 1.65 and 0.75 times that in these flights."""
+    motion = {"readout_s": 0.03, "sigma_px": 0.3, "vibration_deg": vibration_deg}
+    _, network = flights.case(case, seed, **motion, **SMALL)  # type: ignore[arg-type]
+    network, _, (readout,) = with_moving_images(network, adjust(network))
+    assert network.cameras[0].shake
+    room = np.hypot(readout.value, 3 * readout.sigma)
+    assert network.cameras[0].value("readout") == pytest.approx(room, rel=0.02)
+
+
+def test_who_asks_for_the_same_adjustment_gets_it_and_who_changes_anything_another() -> None:
+    _, network = flights.case("attitudes", 8, readout_s=0.03, **SMALL)
+    first, alike = adjust_moving_images(network), adjust_moving_images(replace(network))
+    assert alike[1] is first[1]
+    apart = with_moving_images(network, adjust(network))
+    assert np.array_equal(first[1].cameras, apart[1].cameras)
+    moved = replace(network.rays, plane=network.rays.plane + 0.1)
+    other = adjust_moving_images(replace(network, rays=moved))
+    assert np.abs(other[1].cameras - first[1].cameras).max() > 0.05
 
 
 def test_slopes_where_images_shake_are_those_of_differences() -> None:

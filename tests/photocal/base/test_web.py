@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import http.client
-import os
 import signal
 import socket
 import subprocess
@@ -22,7 +20,7 @@ from starlette.routing import Route
 
 from photocal.base.errors import ConfigurationError
 from photocal.base.web import Address, read_address, serving
-from tests.acquire.live import PATIENCE_S, until
+from tests.acquire.live import PATIENCE_S, full_pipe, until
 
 
 def _app() -> Starlette:
@@ -219,14 +217,9 @@ with serving(_app(), Address("127.0.0.1", 0)) as url:
 
 def test_a_flood_of_connections_leaves_the_page_and_its_end_alone() -> None:
     """More of them than the process may have open; standard error is a full pipe that nobody reads."""
-    ours, theirs = os.pipe()
-    os.set_blocking(theirs, False)
-    with contextlib.suppress(BlockingIOError):
-        while True:
-            os.write(theirs, b"x" * 512)
-    os.set_blocking(theirs, True)
     command = [sys.executable, "-c", SERVER]
     with (
+        full_pipe() as theirs,
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs, text=True) as process,
         ExitStack() as stack,
     ):
@@ -242,8 +235,6 @@ def test_a_flood_of_connections_leaves_the_page_and_its_end_alone() -> None:
         assert until(lambda: answers(page), "the page") is True
         process.send_signal(signal.SIGINT)
         assert process.wait(5.0) == 0
-    for end in (ours, theirs):
-        os.close(end)
 
 
 def answers(page: Page) -> bool:
