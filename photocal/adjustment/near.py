@@ -4,9 +4,10 @@ The normal equations of the known minimum are factorised once, or changed only w
 Steps with that factor (chord steps) end where an adjustment anew ends; their lengths tell how far that is.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,11 +18,20 @@ from photocal.adjustment.equations import Equations, add_equations
 from photocal.adjustment.factored import Factored, factored
 from photocal.adjustment.kernels.data import Design, Reduced, point_room
 from photocal.adjustment.kernels.removal import Removed, remove_images
-from photocal.adjustment.normal import Normal, diagonal_addresses, eliminated, other_equations, values_of
+from photocal.adjustment.kernels.residuals import evaluate
+from photocal.adjustment.normal import (
+    Normal,
+    Problem,
+    diagonal_addresses,
+    eliminated,
+    other_equations,
+    values_of,
+)
 from photocal.adjustment.rank import weakest_pivot
+from photocal.adjustment.score import Score, score
 from photocal.adjustment.solver import SINGULAR_PIVOT, Near, chords, moved_along, moved_by
 from photocal.adjustment.state import State
-from photocal.base.arrays import Flags
+from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
 
 
@@ -42,6 +52,21 @@ def with_held(at: Factored, column: int, change: float, near: float) -> Near:
         right[column] = 1.0
         hold = (column, *full_solution(there.problem, there.normal, right, np.zeros_like(start.points)))
         return chords(there.problem, there.normal, start, near, length, hold)
+
+
+class _Rest(NamedTuple):
+    """A network without some images, one step from the whole minimum.
+
+    normal: its matrix is the factor.
+    length: of the step, squared, in units of the standard deviations.
+    equations: gives the observations beside the rays.
+    """
+
+    problem: Problem
+    normal: Normal
+    moved: State
+    length: float
+    equations: Callable[[State], list[Equations]]
 
 
 class Removals:
@@ -82,45 +107,71 @@ class Removals:
 
     def stepped(self, out: Flags, near: float) -> tuple[Near | None, State | None]:
         """Minimum without images, if it is near; and where the first step leads, if there is one."""
+        with self._rest(out) as rest:
+            if rest is None:
+                return None, None
+            problem, normal, moved, length, equations = rest
+            try:
+                return chords(problem, normal, moved, near, length, equations=equations), moved
+            except NotConvergedError:
+                return None, moved
+
+    def scored(self, out: Flags, fields: Floats, near: float) -> Score | None:
+        """Normal equations of further unknowns without images, where steps with one factor lead.
+
+        fields (t, rays, 2): change of the computed image coordinates by a unit of each.
+        returns: None when the rest is not determined.
+        """
+        with self._rest(out) as rest:
+            if rest is None:
+                return None
+            problem, normal, moved, length, equations = rest
+            with suppress(NotConvergedError):
+                moved = chords(problem, normal, moved, near, length, equations=equations).state
+            residuals = np.empty(problem.network.rays.plane.shape)
+            evaluate(problem.design, values_of(problem, moved), residuals, np.empty(len(residuals)))
+            return score(Factored(problem, self._state, normal, None), residuals, fields)
+
+    @contextmanager
+    def _rest(self, out: Flags) -> Iterator[_Rest | None]:
+        """What is left without images, factorised, and its first step; None when it is not determined."""
         problem, state = self._problem, self._state
         columns = np.zeros(problem.layout.size, dtype=np.bool_)
         columns[problem.layout.image_columns[out]] = True
         own_columns = problem.layout.own_columns[out]
         columns[own_columns[own_columns >= 0]] = True
         if columns[problem.stiffened].any():
-            return None, None
+            yield None
+            return
         with self._downdated(out) as (design, normal, singular, touched):
-            if singular:
-                return None, None
-            held = problem.held | columns
-            changed = replace(problem, design=design, held=held)
+            changed = replace(problem, design=design, held=problem.held | columns)
 
             def equations(state: State) -> list[Equations]:
                 """Other equations than of rays, but for those of the columns that are held."""
                 return [_untouched(rows, columns) for rows in other_equations(problem, state).values()]
 
-            clear(problem.layout.envelope, normal.matrix, columns)
-            touched |= columns
-            for rows in other_equations(problem, state).values():
-                touched[rows.column[np.repeat(_touched(rows, columns), np.diff(rows.start))]] = True
-                add_equations(
-                    *_untouched(rows, columns), problem.layout.envelope, normal.matrix, normal.gradient
-                )
-            diagonal = diagonal_addresses(problem)
-            normal.matrix[diagonal[held]] = 1.0
-            normal.matrix[diagonal[problem.stiffened]] *= 2.0
-            before = normal.matrix[diagonal]
-            if factorise(problem.layout.envelope, normal.matrix, self._factor, int(np.argmax(touched))) >= 0:
-                return None, None
-            if weakest_pivot(normal.matrix[diagonal], before) < SINGULAR_PIVOT:
-                return None, None
+            if singular or not self._factorised(changed, normal, touched, columns):
+                yield None
+                return
             step = solve(problem.layout.envelope, normal.matrix, -normal.gradient)
-            step[held] = 0.0
-            moved, length = moved_by(changed, state, normal, step)
-            try:
-                return chords(changed, normal, moved, near, length, equations=equations), moved
-            except NotConvergedError:
-                return None, moved
+            step[changed.held] = 0.0
+            yield _Rest(changed, normal, *moved_by(changed, state, normal, step), equations)
+
+    def _factorised(self, changed: Problem, normal: Normal, touched: Flags, columns: Flags) -> bool:
+        """Complete the equations without some columns and factorise them; False when they are singular."""
+        envelope = changed.layout.envelope
+        clear(envelope, normal.matrix, columns)
+        touched |= columns
+        for rows in other_equations(self._problem, self._state).values():
+            touched[rows.column[np.repeat(_touched(rows, columns), np.diff(rows.start))]] = True
+            add_equations(*_untouched(rows, columns), envelope, normal.matrix, normal.gradient)
+        diagonal = diagonal_addresses(self._problem)
+        normal.matrix[diagonal[changed.held]] = 1.0
+        normal.matrix[diagonal[changed.stiffened]] *= 2.0
+        before = normal.matrix[diagonal]
+        if factorise(envelope, normal.matrix, self._factor, int(np.argmax(touched))) >= 0:
+            return False
+        return bool(weakest_pivot(normal.matrix[diagonal], before) >= SINGULAR_PIVOT)
 
     @contextmanager
     def _downdated(self, out: Flags) -> Iterator[tuple[Design, Normal, bool, Flags]]:

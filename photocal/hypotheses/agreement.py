@@ -3,17 +3,16 @@
 import numpy as np
 from scipy import special
 
-from photocal.adjustment.adjusted import AdjustedNetwork, left_without, without_images
-from photocal.adjustment.factored import factored
-from photocal.adjustment.kernels.residuals import evaluate
+from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.near import Removals
-from photocal.adjustment.normal import values_of
-from photocal.adjustment.removed import FEWEST, groups_of, standard_error, state_without
+from photocal.adjustment.removed import FEWEST, groups_of, standard_error
 from photocal.adjustment.score import followed_by, score
 from photocal.base.arrays import Floats
-from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.base.policy import policy
 from photocal.hypotheses.fields import LEFT, RayField
+
+# Left of the way without an image: a hundredth of a standard deviation.
+_NEAR = 1e-4
 
 
 def agreed(fit: AdjustedNetwork, field: RayField, amount: float) -> float:
@@ -53,18 +52,10 @@ def _probability(amount: float, sigma: float, freedom: int) -> float:
 
 
 def _left_out(fit: AdjustedNetwork, field: RayField) -> Floats:
-    """What is left of an amount when images are left out, (m,)."""
+    """What is left of an amount when images are left out, (m,): with one factor for each."""
     removals, amounts = Removals(fit.factored), []
     for out in groups_of(fit):
-        try:
-            network, state = without_images(fit.network, state_without(fit, removals, out), out)
-            at = factored(network, state)
-        except (IllPosedError, NotConvergedError):
-            continue
-        residuals, depth = np.empty(network.rays.plane.shape), np.empty(len(network.rays.image))
-        evaluate(at.problem.design, values_of(at.problem, at.state), residuals, depth)
-        kept = left_without(fit.network, out)[1]
-        scored = score(at, residuals, -field.displacement[None, kept])
-        if scored.share[0] > LEFT:
+        scored = removals.scored(out, -field.displacement[None], _NEAR)
+        if scored is not None and scored.share[0] > LEFT:
             amounts.append(-float(scored.slope[0]) / float(scored.information[0, 0]))
     return np.array(amounts)

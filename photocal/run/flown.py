@@ -34,20 +34,22 @@ from photocal.products.raster import describe, terrain_source
 from photocal.project import Project
 from photocal.report.derived_figures import NADIR_DEG
 from photocal.results.folder import read_result
-from photocal.run.stage import Stage
+from photocal.run.stage import Stage, pictures_of
 
 
 def flown_stage(project: Project, block: Path, calibration: Path) -> Stage:
     """Describe the stage; it writes nothing of a frame of cameras, nor where they do not look down."""
     images, plan = project.contents.images, project.contents.certificate.plan
-    named = {"images": None if images is None else images.folder, "plan": plan}
-    inputs = {name: path for name, path in named.items() if path is not None}
+    folder_of_pictures = None if images is None else images.folder
+    # Not the folder: the project itself may lie in it, with what was made last.
+    inputs = {} if folder_of_pictures is None else pictures_of(project)
+    inputs |= {} if plan is None else {"plan": plan}
 
     def make(folder: Path, show: Progress) -> None:
         """Make the files of the stage."""
         # Where too few points tell a ground, the adjustment says so.
         with show("flown block", None), suppress(IllPosedError):
-            files = FlownOptions(images=inputs.get("images"), plan=inputs.get("plan"))
+            files = FlownOptions(images=folder_of_pictures, plan=plan)
             measure_flown(block, calibration, files, output=folder, only_nadir=True)
 
     return Stage("flown", "flown block", make, inputs, after=(block, calibration))

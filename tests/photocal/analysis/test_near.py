@@ -9,14 +9,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from photocal.adjustment.adjusted import AdjustedNetwork, fit, lowest, without_images
+from photocal.adjustment.adjusted import AdjustedNetwork, fit, left_without, lowest, without_images
+from photocal.adjustment.factored import factored
+from photocal.adjustment.kernels.residuals import evaluate
 from photocal.adjustment.near import Removals
 from photocal.adjustment.network import Network, Relations
+from photocal.adjustment.normal import values_of
+from photocal.adjustment.score import score
 from photocal.analysis import left_out as of_parameters
 from photocal.analysis.left_out import Checks, without_parameter
 from photocal.analysis.outcome import analyse_network
 from photocal.base.errors import NotConvergedError
 from photocal.geometry.camera import PARAMETERS
+from photocal.hypotheses.fields import ray_fields
 from tests.photocal.analysis.aerial import Flight, fly
 
 
@@ -77,6 +82,46 @@ def test_images_are_taken_out_of_networks_of_any_kind(made: Callable[[], Network
     anew = lowest(*without_images(network, whole.state, out)).state.cameras
     sigma = np.sqrt(np.diagonal(whole.solution.camera_covariance, axis1=1, axis2=2))
     assert (np.abs(nearby.state.cameras - anew) <= 1e-3 * sigma).all()
+
+
+def uncorrected() -> Network:
+    """A flight whose camera is adjusted without K3."""
+    network = fly(Flight(30, 6_000), 3).network
+    (own,) = network.cameras
+    estimated, values = own.estimated.copy(), own.values.copy()
+    estimated[PARAMETERS.index("K3")], values[PARAMETERS.index("K3")] = False, 0.0
+    return replace(network, cameras=(replace(own, estimated=estimated, values=values),))
+
+
+@pytest.mark.parametrize("made", [uncorrected, bare, varied])
+@pytest.mark.parametrize("group", [[4], [19, 20, 21, 22]])
+def test_a_field_without_images_is_that_of_images_never_flown(
+    made: Callable[[], Network], group: list[int]
+) -> None:
+    """Amounts of what the camera lacks, to a twentieth of their standard deviations.
+
+    One is linear at the minimum of the whole, the other at that of the rest; what is made of them, a standard
+    error of m removals, is good to 1 / sqrt(2 (m - 1)), a fifth.
+    """
+    network = made()
+    whole = fit(network)
+    out = np.isin(np.arange(30), group)
+    fields = np.array([one.displacement for one in ray_fields(network, whole.state, whole.computed)])
+    rest = Removals(whole.factored).scored(out, fields, 1e-6)
+    assert rest is not None
+    smaller, start = without_images(network, whole.state, out)
+    state = lowest(smaller, start).state
+    at = factored(smaller, state)
+    kept = left_without(network, out)[1]
+    residuals = np.empty(smaller.rays.plane.shape)
+    evaluate(at.problem.design, values_of(at.problem, state), residuals, np.empty(len(residuals)))
+    anew = score(at, residuals, fields[:, kept])
+    some = anew.share > 1e-4
+    assert some.any()
+    sigma = np.diag(anew.information)[some] ** -0.5
+    amount, there = (one.slope[some] / np.diag(one.information)[some] for one in (rest, anew))
+    assert np.diag(rest.information)[some] ** -0.5 == pytest.approx(sigma, rel=0.05)
+    assert (np.abs(amount - there) <= 0.05 * sigma).all()
 
 
 @pytest.mark.parametrize("name", ["K1", "K3", "P1"])

@@ -24,6 +24,7 @@ from photocal.report.issue import issue
 from photocal.results.adjusted import adjust_block
 from photocal.run.campaign import stages
 from photocal.run.flown import flown_stage, measure_flown
+from photocal.run.stage import Digests, update_stage
 from tests.photocal.conftest import Answer
 from tests.photocal.georeferencing.flights import FOCAL_MM, PITCH_MM, Plan, fly
 
@@ -89,6 +90,20 @@ def test_the_stage_writes_figures_map_and_picture(made: Path) -> None:
     assert (figures["iso"]["least"], figures["iso"]["most"]) == (100.0, 400.0)
     # 14 m/s over pixels of 3.375 cm in 1 ms, at 90 m.
     assert figures["smear_px"]["most"] == pytest.approx(14e-3 / 0.03375, rel=0.1)
+
+
+def test_what_else_lies_beside_the_pictures_is_nothing_new(project: Project, tmp_path: Path) -> None:
+    """A project written by `new` lies there, with the folder of its run."""
+    folder = project.path.parent
+
+    def kept() -> bool:
+        stage = flown_stage(project, folder / "block", folder / "calibration")
+        return update_stage(stage, tmp_path, Digests(tmp_path / "digests.json"), quiet).kept
+
+    assert not kept()
+    (folder / "images" / "work").mkdir()
+    (folder / "images" / "work" / "run.log").write_text("flown", encoding="utf-8")
+    assert kept()
 
 
 @pytest.mark.parametrize(
