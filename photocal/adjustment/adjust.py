@@ -139,11 +139,8 @@ def _by_chords(
     if step is None:
         return None
     moved, length = moved_by(problem, state, normal, step)
-    try:
-        found = chords(problem, normal, moved, near, length)
-    except NotConvergedError:
-        return None
-    if not found.chi_squared < normal.chi_squared:
+    found = chords(problem, normal, moved, near, length)
+    if not found.reached or not found.chi_squared < normal.chi_squared:
         return None
     steps = (Iteration(1, found.chi_squared, length, 0.0),)
     if report:

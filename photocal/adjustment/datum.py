@@ -126,9 +126,13 @@ def with_datum(problem: Problem, state: State) -> Problem:
     null = moves @ open_combinations(problem, normal, moves)
     if not null.shape[1]:
         return problem
-    scale = np.sqrt(_resistance(problem, normal))
-    _, _, order = qr((null * scale[:, None]).T, mode="economic", pivoting=True)
-    return replace(problem, stiffened=np.sort(order[: null.shape[1]]).astype(np.int64))
+    return replace(problem, stiffened=datum_columns(null, _resistance(problem, normal)))
+
+
+def datum_columns(null: Floats, resistance: Floats) -> Integers:
+    """Columns that carry a datum best: as many as combinations that no observation sees, (size, d)."""
+    _, _, order = qr((null * np.sqrt(np.maximum(resistance, 0.0))[:, None]).T, mode="economic", pivoting=True)
+    return np.asarray(np.sort(order[: null.shape[1]]).astype(np.int64))
 
 
 def inner_state(problem: Problem, normal: Normal, state: State, start: State) -> State:

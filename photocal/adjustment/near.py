@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from photocal.adjustment.adjusted import determined
-from photocal.adjustment.datum import full_solution
+from photocal.adjustment.datum import datum_columns, full_solution
 from photocal.adjustment.envelope import clear, factorise, product, solve
 from photocal.adjustment.equations import Equations, add_equations
 from photocal.adjustment.factored import Factored, factored
@@ -31,8 +31,11 @@ from photocal.adjustment.rank import weakest_pivot
 from photocal.adjustment.score import Score, score
 from photocal.adjustment.solver import SINGULAR_PIVOT, Near, chords, moved_along, moved_by
 from photocal.adjustment.state import State
-from photocal.base.arrays import Flags, Floats
-from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.errors import IllPosedError
+
+# Set-ups of the equations on the way to a parameter that is held.
+_AGAIN = 3
 
 
 def with_held(at: Factored, column: int, change: float, near: float) -> Near:
@@ -43,15 +46,17 @@ def with_held(at: Factored, column: int, change: float, near: float) -> Near:
     along = at.camera_column(column)
     share = change / along[0][column]
     start, length = moved_along(at.problem, at.state, share * along[0], share * along[1]), share * change
-    try:
-        return chords(at.problem, at.normal, start, near, length, (column, *along))
-    except NotConvergedError:
-        there = factored(at.problem.network, start)
+    found = chords(at.problem, at.normal, start, near, length, (column, *along))
+    for _ in range(_AGAIN):
+        if found.reached or not np.isfinite(found.chi_squared):
+            break
+        there = factored(at.problem.network, found.state)
         # The column of the inverse that belongs to the unknown.
         right = np.zeros(there.problem.layout.size)
         right[column] = 1.0
         hold = (column, *full_solution(there.problem, there.normal, right, np.zeros_like(start.points)))
-        return chords(there.problem, there.normal, start, near, length, hold)
+        found = chords(there.problem, there.normal, found.state, near, found.left, hold)
+    return found
 
 
 class _Rest(NamedTuple):
@@ -77,7 +82,7 @@ class Removals:
     """
 
     def __init__(self, at: Factored) -> None:
-        self._problem, self._state = at.problem, at.state
+        self._problem, self._state, self._datum = at.problem, at.state, at.datum
         problem, normal = at.problem, at.normal
         self._kept, self._gradient, self._factor = normal.kept, normal.gradient.copy(), normal.matrix
         self._values = values_of(problem, at.state)
@@ -95,26 +100,24 @@ class Removals:
         self._room = np.empty_like(self._matrix)
 
     def without(self, out: Flags, near: float) -> Near | None:
-        """Minimum without images; None where an adjustment anew must tell.
+        """Minimum without images, or the way there; None when the rest is not determined.
 
-        Where one step does not come near, the equations are set up again at the place that it led to.
+        Where the factor does not come near, the equations are set up again at the place that it led to.
         """
-        minimum, moved = self.stepped(out, near)
-        if minimum is None and moved is not None:
-            with suppress(IllPosedError):
-                minimum, _ = Removals(factored(self._problem.network, moved)).stepped(out, near)
-        return minimum
+        found = self.stepped(out, near)
+        if found is None or found.reached:
+            return found
+        with suppress(IllPosedError):
+            return Removals(factored(self._problem.network, found.state)).stepped(out, near) or found
+        return found
 
-    def stepped(self, out: Flags, near: float) -> tuple[Near | None, State | None]:
-        """Minimum without images, if it is near; and where the first step leads, if there is one."""
+    def stepped(self, out: Flags, near: float) -> Near | None:
+        """Where steps with one factor lead without images; None when the rest is not determined."""
         with self._rest(out) as rest:
             if rest is None:
-                return None, None
-            problem, normal, moved, length, equations = rest
-            try:
-                return chords(problem, normal, moved, near, length, equations=equations), moved
-            except NotConvergedError:
-                return None, moved
+                return None
+            found = chords(rest.problem, rest.normal, rest.moved, near, rest.length, equations=rest.equations)
+            return found if np.isfinite(found.chi_squared) else None
 
     def scored(self, out: Flags, fields: Floats, near: float) -> Score | None:
         """Normal equations of further unknowns without images, where steps with one factor lead.
@@ -126,8 +129,7 @@ class Removals:
             if rest is None:
                 return None
             problem, normal, moved, length, equations = rest
-            with suppress(NotConvergedError):
-                moved = chords(problem, normal, moved, near, length, equations=equations).state
+            moved = chords(problem, normal, moved, near, length, equations=equations).state
             residuals = np.empty(problem.network.rays.plane.shape)
             evaluate(problem.design, values_of(problem, moved), residuals, np.empty(len(residuals)))
             return score(Factored(problem, self._state, normal, None), residuals, fields)
@@ -140,11 +142,9 @@ class Removals:
         columns[problem.layout.image_columns[out]] = True
         own_columns = problem.layout.own_columns[out]
         columns[own_columns[own_columns >= 0]] = True
-        if columns[problem.stiffened].any():
-            yield None
-            return
+        stiffened = self._stiffened(columns)
         with self._downdated(out) as (design, normal, singular, touched):
-            changed = replace(problem, design=design, held=problem.held | columns)
+            changed = replace(problem, design=design, held=problem.held | columns, stiffened=stiffened)
 
             def equations(state: State) -> list[Equations]:
                 """Other equations than of rays, but for those of the columns that are held."""
@@ -156,6 +156,13 @@ class Removals:
             step = solve(problem.layout.envelope, normal.matrix, -normal.gradient)
             step[changed.held] = 0.0
             yield _Rest(changed, normal, *moved_by(changed, state, normal, step), equations)
+
+    def _stiffened(self, columns: Flags) -> Integers:
+        """Columns that carry the datum of a free network without some of its columns."""
+        if self._datum is None or not columns[self._problem.stiffened].any():
+            return self._problem.stiffened
+        resistance = self._matrix[diagonal_addresses(self._problem)]
+        return datum_columns(np.where(columns[:, None], 0.0, self._datum.moves), resistance)
 
     def _factorised(self, changed: Problem, normal: Normal, touched: Flags, columns: Flags) -> bool:
         """Complete the equations without some columns and factorise them; False when they are singular."""

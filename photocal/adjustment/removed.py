@@ -1,13 +1,12 @@
 """Images left out of an adjusted network, one by one or with their neighbours."""
 
-from dataclasses import replace
-
 import numpy as np
 
-from photocal.adjustment.adjusted import AdjustedNetwork, left_without, lowest, without_images
+from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.near import Removals
 from photocal.adjustment.state import State
 from photocal.base.arrays import Flags, Floats
+from photocal.base.errors import IllPosedError
 
 # Beyond this many images, neighbours are left out together, in so many groups: the standard error is then
 # itself good to a fifth, 1 / sqrt(2 (m - 1)), where three times the formal one is worth a line.
@@ -25,27 +24,18 @@ def groups_of(fit: AdjustedNetwork) -> list[Flags]:
     return [np.isin(np.arange(count), part) for part in parts]
 
 
-def state_without(fit: AdjustedNetwork, removals: Removals, out: Flags) -> State:
-    """Leave images out of a minimum: near it where the way is short, else adjusted anew.
+def state_without(removals: Removals, out: Flags) -> State:
+    """Leave images out of a minimum: where two set-ups of the equations lead.
+
+    A standard error of m removals is good to 1 / sqrt(2 (m - 1)); what is left of the way is less.
 
     returns: as large as before; what was left out keeps its values.
-    raises IllPosedError, NotConvergedError: when the rest is not determined.
+    raises IllPosedError: when the rest is not determined.
     """
-    nearby = removals.without(out, NEAR)
-    if nearby is not None:
-        return nearby.state
-    network, state = without_images(fit.network, fit.state, out)
-    rest, (points, _) = lowest(network, state, NEAR).state, left_without(fit.network, out)
-    whole = replace(
-        rest,
-        rotation=fit.state.rotation.copy(),
-        centre=fit.state.centre.copy(),
-        points=fit.state.points.copy(),
-        deviations=fit.state.deviations.copy(),
-    )
-    whole.rotation[~out], whole.centre[~out] = rest.rotation, rest.centre
-    whole.points[points], whole.deviations[~out] = rest.points, rest.deviations
-    return whole
+    found = removals.without(out, NEAR)
+    if found is None:
+        raise IllPosedError(f"nothing determines the block without {int(out.sum())} of {len(out)} images")
+    return found.state
 
 
 def standard_error(values: Floats) -> Floats:

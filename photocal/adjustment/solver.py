@@ -272,14 +272,13 @@ def _by_chords(
             made[0] = replace(made[0], chi_squared=chi_squared + length)
         made.append(Iteration(made[-1].number + 1, chi_squared, length, 0.0))
 
-    try:
-        # With a factor from elsewhere the rate is known less well: so much less is to be left.
-        surer = 1e-2
-        there = chords(problem, normal, state, surer * near, decrement, progress=progress).state
-    except NotConvergedError:
+    # With a factor from elsewhere the rate is known less well: so much less is to be left.
+    surer = 1e-2
+    there = chords(problem, normal, state, surer * near, decrement, progress=progress)
+    if not there.reached:
         return None
     _tell(steps, report, made)
-    return there
+    return there.state
 
 
 def _ended(problem: Problem, state: State, steps: list[Iteration], limits: RankLimits) -> Minimum:
@@ -363,11 +362,13 @@ class Near:
     """A minimum near a known one.
 
     left: bound of the squared distance to it that is left, in units of the standard deviations.
+    reached: whether as near as was asked.
     """
 
     state: State
     chi_squared: float
     left: float
+    reached: bool = True
 
 
 def gradient(problem: Problem, state: State, equations: list[Equations]) -> tuple[float, Floats, Floats]:
@@ -406,7 +407,8 @@ def chords(
 
     equations: gives the observations beside the rays, where these are not all of the problem's.
     progress: gets v'Pv after each step, and the step's squared length.
-    raises NotConvergedError: when the steps do not come to an end soon.
+    returns: the lowest place on the way, when the steps do not come to an end soon; its v'Pv is infinite
+        where a point lies behind a camera from the beginning.
 
     What the gradients tell of the curvature mends the factor (limited-memory BFGS, Nocedal 1980): along what
     is hardly determined that of the residuals themselves counts, which normal equations leave out.
@@ -423,9 +425,15 @@ def chords(
 
     steps, changes = list[tuple[Floats, Floats]](), list[tuple[Floats, Floats]]()
     last: tuple[Floats, Floats] | None = None
+    best, best_state = np.inf, state
     for _ in range(CHORDS):
         others = _others(problem, state) if equations is None else equations(state)
-        chi_squared, *slope = gradient(problem, state, others)
+        try:
+            chi_squared, *slope = gradient(problem, state, others)
+        except NotConvergedError:
+            break
+        if chi_squared < best:
+            best, best_state = chi_squared, state
         # Points that stay in the reduced system stand in both parts.
         slope[1][problem.layout.kept_points] = 0.0
         if last is not None:
@@ -446,7 +454,7 @@ def chords(
             return Near(state, chi_squared - length, max(left, 0.0))
         before = length
         steps.append((step, moved))
-    raise NotConvergedError("the minimum is not near", "adjust the changed network from its start values")
+    return Near(best_state, best, before, reached=False)
 
 
 def _times(first: tuple[Floats, Floats], second: tuple[Floats, Floats]) -> float:

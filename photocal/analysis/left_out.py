@@ -19,6 +19,9 @@ from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS
 from photocal.hypotheses.fields import FEWEST_IMAGES, LEFT, PARTS, change_of, course, order_of
 
+# Squared distance, in units of the standard deviations, from which no figure of the report changes.
+_NEARLY = 0.1
+
 
 @dataclass(frozen=True)
 class Checks:
@@ -59,15 +62,16 @@ class WithoutParameter:
 def without_parameter(fit: AdjustedNetwork, camera: int, parameter: int) -> Near:
     """Find the minimum with a parameter at zero: near the one with it, or from anew."""
     interior, current = fit.network.cameras[camera], fit.state.cameras
-    if not np.isfinite(interior.prior_sigma[parameter]):
+    if interior.prior_correlation is None:
         active, columns = fit.factored.problem.layout.camera_columns[camera]
         column = int(columns[active == parameter][0])
-        try:
-            # Left of each adjustment, see `minimise`: 0.001 standard deviations at most.
-            near = 1e-6
-            return with_held(fit.factored, column, -float(current[camera, parameter]), near)
-        except NotConvergedError:
-            pass
+        # Left of each adjustment, see `minimise`: 0.001 standard deviations at most.
+        near = 1e-6
+        found = with_held(fit.factored, column, -float(current[camera, parameter]), near)
+        # Its prior goes with it; infinite where there is none.
+        of_prior = float((interior.values[parameter] / interior.prior_sigma[parameter]) ** 2)
+        if found.reached or found.left < _NEARLY:
+            return replace(found, chi_squared=found.chi_squared - of_prior)
     estimated, values, start = interior.estimated.copy(), interior.values.copy(), current.copy()
     estimated[parameter], values[parameter], start[camera, parameter] = False, 0.0, 0.0
     cameras = list(fit.network.cameras)

@@ -134,10 +134,10 @@ def _alternative(interior: Camera, model: Model) -> Camera:
     return replace(made, estimated=among(*terms, *kept), prior_sigma=prior, prior_correlation=None)
 
 
-def _nearby(_fitted: AdjustedNetwork, removals: Removals, out: Flags) -> State:
+def _nearby(removals: Removals, out: Flags) -> State:
     """Leave images out near the minimum: a lens that is quite another one without them hangs on them."""
     nearby = removals.without(out, NEAR)
-    if nearby is None:
+    if nearby is None or not nearby.reached:
         raise NotConvergedError(f"the lens depends on {int(out.sum())} of {len(out)} images")
     return nearby.state
 
@@ -148,14 +148,14 @@ def _judged(
     interior: Camera,
     groups: list[Integers],
     checks: Checks,
-    without: Callable[[AdjustedNetwork, Removals, Flags], State] = state_without,
+    without: Callable[[Removals, Flags], State] = state_without,
 ) -> LensFit:
     alternative = fitted.network.cameras[camera]
     squares, count = 0.0, 0
     removals = Removals(fitted.factored)
     for group in groups:
         out = np.isin(np.arange(len(fitted.network.image_names)), group)
-        chi_squared, redundancy = _predicted(fitted, without(fitted, removals, out), out)
+        chi_squared, redundancy = _predicted(fitted, without(removals, out), out)
         squares, count = squares + chi_squared, count + redundancy
     rmse = checks.rmse(fitted.solution.points)
     return LensFit(

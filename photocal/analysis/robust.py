@@ -71,8 +71,8 @@ def _without_each(
     removals = Removals(fit.factored)
     for k, out in enumerate(groups):
         try:
-            values[k] = state_without(fit, removals, out).cameras
-        except (IllPosedError, NotConvergedError):
+            values[k] = state_without(removals, out).cameras
+        except IllPosedError:
             possible[k] = False
         done()
     return values, possible

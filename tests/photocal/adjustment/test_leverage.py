@@ -15,7 +15,7 @@ from tests.photocal.analysis.aerial import Flight, fly
 
 def removed(fitted: AdjustedNetwork) -> Floats:
     removals = Removals(fitted.factored)
-    return np.array([state_without(fitted, removals, out).cameras for out in groups_of(fitted)])
+    return np.array([state_without(removals, out).cameras for out in groups_of(fitted)])
 
 
 @pytest.mark.parametrize("images", [24, 45])
