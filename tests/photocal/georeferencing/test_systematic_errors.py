@@ -264,6 +264,18 @@ def test_a_new_fault_is_one_entry_and_its_texts(flown: Flown) -> None:
     assert [one.severity for one in causes_first(told, 100.0, (new,))] == ["grave", "consequence"]
 
 
+def test_what_a_block_cannot_estimate_nobody_is_told_to_estimate() -> None:
+    held = Finding("camera-held", "doubtful", "cam", {"names": ("c",)}, stage="measurements")
+    wrong = Finding("principal-distance", "grave", figures={"numbers": ("c[cam] +434 +- 20 px",)})
+    other = replace(wrong, figures={"numbers": ("c[cam2] +434 +- 20 px",)})
+    told = causes_first((held, wrong), 100.0)
+    assert [(one.code, one.severity, one.remedy) for one in told] == [
+        ("principal-distance", "grave", "camera-held"),
+        ("camera-held", "consequence", ""),
+    ]
+    assert causes_first((held, other), 100.0) == (held, other)
+
+
 def test_a_readout_beside_a_refocused_camera_is_told_as_what_follows() -> None:
     readout, shake = (Finding(code, "note") for code in ("shutter-rolls", "images-shake"))
     change = Finding("camera-change", "grave", stage="georeferencing")
