@@ -71,8 +71,10 @@ def lens_fits(
             cameras[camera] = _alternative(interior, model)
             values[camera] = cameras[camera].values
             network = replace(fitted.network, cameras=tuple(cameras))
-            start = replace(fitted.state, cameras=values)
-            foreseen = _foreseen(network, start)
+            # Terms of one name mean nearly the same in most models, and where not, the converted ones are near.
+            starts = (fitted.state, replace(fitted.state, cameras=values))
+            each = [_foreseen(network, start) for start in starts]
+            foreseen, start = min(each), starts[int(np.argmin(each))]
             if fitted.solution.chi_squared - foreseen < _PROMISING * GAIN:
                 fits.append(_not_tried(cameras[camera], foreseen))
                 continue

@@ -219,7 +219,8 @@ def analysed(run: AnalysedRun, say: Catalogue) -> list[Section]:
 
 
 def _lenses(camera: Camera, analysis: Analysis, say: Catalogue) -> list[TablePart]:
-    """Models of the lens that were compared."""
+    """Models of the lens that were compared; of one that is no better, no images were left out."""
+    none = say("word.none")
     heads = ("lens_model<", "terms<", "chi_squared", "left_out_sigma")
     more = (f"change_of_c [{camera.unit}]", "rmse [mm]")
     rows = tuple(
@@ -227,8 +228,8 @@ def _lenses(camera: Camera, analysis: Analysis, say: Catalogue) -> list[TablePar
             fit.model,
             " ".join(map(symbol, fit.terms)),
             say.fixed(fit.chi_squared, 1),
-            say.fixed(fit.left_out, 3),
-            say.significant(fit.change_of_c, 4),
+            say.fixed(fit.left_out, 3) if math.isfinite(fit.left_out) else none,
+            say.significant(fit.change_of_c, 4) if math.isfinite(fit.change_of_c) else none,
             _checks(fit.check_rmse_m, say),
         )
         for fit in analysis.lens_models[camera.id]
