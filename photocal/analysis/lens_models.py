@@ -71,7 +71,7 @@ def lens_fits(
             cameras[camera] = _alternative(interior, model)
             values[camera] = cameras[camera].values
             network = replace(fitted.network, cameras=tuple(cameras))
-            # Terms of one name mean nearly the same in most models, and where not, the converted ones are near.
+            # Terms of one name mean nearly the same in most models; where not, the converted ones are near.
             starts = (fitted.state, replace(fitted.state, cameras=values))
             each = [_foreseen(network, start) for start in starts]
             foreseen, start = min(each), starts[int(np.argmin(each))]
