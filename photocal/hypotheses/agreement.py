@@ -1,5 +1,7 @@
 """Whether the images of a block agree about a systematic error, whatever their rays by the hundred say."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import special
 
@@ -15,26 +17,42 @@ from photocal.hypotheses.fields import LEFT, RayField
 _NEAR = 1e-4
 
 
-def agreed(fit: AdjustedNetwork, field: RayField, amount: float) -> float:
-    """Probability of an amount that is none, by how the images differ about it; 1 where too few can be asked.
+def agreed(fit: AdjustedNetwork, fields: Sequence[RayField], amounts: Sequence[float]) -> list[float]:
+    """Probability of each amount that is none, by how the images differ about it; 1 where few can be asked.
 
     The F test takes rays for independent. What matching, focus or a moving shutter do to one image they do to
     all of its rays, and the next image has it otherwise: a test over images as they are (Liang and Zeger
     1986) sees that. With many images by the sandwich, see `robust.sandwich`, with few by the jackknife.
     """
-    camera = fit.network.cameras[field.camera]
+    changes = -np.array([field.displacement for field in fields])
+    few = np.array([_freedom(fit, field) < FEWEST for field in fields])
+    found = np.ones(len(fields))
+    if few.any():
+        left = _left_out(fit, changes[few])
+        spread = [standard_error(values[np.isfinite(values)]) for values in left.T]
+        freedom = np.isfinite(left).sum(axis=0) - 1
+        found[few] = list(map(_probability, np.array(amounts)[few], np.array(spread), freedom))
+    for k in np.flatnonzero(~few).tolist():
+        found[k] = _by_sandwich(fit, fields[k], changes[[k]], amounts[k])
+    return found.tolist()
+
+
+def _freedom(fit: AdjustedNetwork, field: RayField) -> int:
+    """Images of a field's camera beyond its parameters and the amount."""
     images = int(np.sum(fit.network.exposures.camera == field.camera))
-    freedom = images - int(camera.estimated.sum()) - 1
-    if freedom >= FEWEST:
-        scored = score(fit.factored, fit.solution.residuals, -field.displacement[None])
-        checked = np.maximum(fit.solution.redundancy, policy.least_checked)
-        shown = -field.displacement - followed_by(fit.factored, scored.steps, scored.moved)[0]
-        # What the error itself makes of the residuals says nothing of how images differ about it.
-        weighed = (fit.solution.residuals + amount * shown) / np.sqrt(checked)
-        sigma = _spread(fit, float(scored.information[0, 0]), shown, weighed) * (images / freedom) ** 0.5
-        return _probability(amount, sigma, freedom)
-    amounts = _left_out(fit, field)
-    return _probability(amount, float(standard_error(amounts)), len(amounts) - 1)
+    return images - int(fit.network.cameras[field.camera].estimated.sum()) - 1
+
+
+def _by_sandwich(fit: AdjustedNetwork, field: RayField, change: Floats, amount: float) -> float:
+    freedom = _freedom(fit, field)
+    images = int(np.sum(fit.network.exposures.camera == field.camera))
+    scored = score(fit.factored, fit.solution.residuals, change)
+    checked = np.maximum(fit.solution.redundancy, policy.least_checked)
+    shown = change[0] - followed_by(fit.factored, scored.steps, scored.moved)[0]
+    # What the error itself makes of the residuals says nothing of how images differ about it.
+    weighed = (fit.solution.residuals + amount * shown) / np.sqrt(checked)
+    sigma = _spread(fit, float(scored.information[0, 0]), shown, weighed) * (images / freedom) ** 0.5
+    return _probability(amount, sigma, freedom)
 
 
 def _spread(fit: AdjustedNetwork, information: float, shown: Floats, residuals: Floats) -> float:
@@ -51,11 +69,16 @@ def _probability(amount: float, sigma: float, freedom: int) -> float:
     return float(2 * special.stdtr(freedom, -abs(amount) / sigma)) if sigma > 0.0 and freedom > 0 else 1.0
 
 
-def _left_out(fit: AdjustedNetwork, field: RayField) -> Floats:
-    """What is left of an amount when images are left out, (m,): with one factor for each."""
-    removals, amounts = Removals(fit.factored), []
-    for out in groups_of(fit):
-        scored = removals.scored(out, -field.displacement[None], _NEAR)
-        if scored is not None and scored.share[0] > LEFT:
-            amounts.append(-float(scored.slope[0]) / float(scored.information[0, 0]))
-    return np.array(amounts)
+def _left_out(fit: AdjustedNetwork, changes: Floats) -> Floats:
+    """What is left of t amounts when m images are left out, with one factor for each, (m, t); NaN where none.
+
+    changes (t, rays, 2): of the computed image coordinates by a unit of each.
+    """
+    removals, groups = Removals(fit.factored), groups_of(fit)
+    amounts = np.full((len(groups), len(changes)), np.nan)
+    for values, out in zip(amounts, groups, strict=True):
+        scored = removals.scored(out, changes, _NEAR)
+        if scored is not None:
+            some = scored.share > LEFT
+            values[some] = -scored.slope[some] / np.diag(scored.information)[some]
+    return amounts

@@ -13,6 +13,8 @@ from photocal.hypotheses.table import Fault
 
 # Causes that are accepted beside each other in one system.
 _CAUSES = 4
+# Causes about which images are asked at once: leaving an image out costs more than one field beside another.
+_ASKED = 4
 
 
 @dataclass(frozen=True)
@@ -92,21 +94,24 @@ class Selection:
         significant = [
             cause for cause, tested in tries.items() if tested.significant and _noteworthy(cause, tested)
         ]
-        for cause in sorted(significant, key=lambda one: -tries[one].value):
-            if self._images_agree(cause, tries[cause]):
-                return cause
+        ranked = sorted(significant, key=lambda one: -tries[one].value)
+        for first in range(0, len(ranked), _ASKED):
+            some = ranked[first : first + _ASKED]
+            self._ask_images({cause: tries[cause] for cause in some})
+            for cause in some:
+                if self._agreed.get(cause.key, True):
+                    return cause
         return None
 
-    def _images_agree(self, cause: Cause, tested: Hypothesis) -> bool:
-        """Whether the images of a camera agree about a field of its rays; of all else they are not asked."""
-        if cause.field is None:
-            return True
-        if cause.key not in self._agreed:
-            first, *rest = tested.estimates
-            amount = rest[0].value - first.value if rest else first.correction
-            level = policy.family_significance / self._families / cause.choices
-            self._agreed[cause.key] = agreed(self.these.adjusted, cause.field, amount) < level
-        return self._agreed[cause.key]
+    def _ask_images(self, tries: dict[Cause, Hypothesis]) -> None:
+        """Ask the images of a camera about fields of its rays; of all else they are not asked."""
+        asked = {c: tries[c] for c in tries if c.field is not None and c.key not in self._agreed}
+        if not asked:
+            return
+        fields = [cause.field for cause in asked if cause.field is not None]
+        found = agreed(self.these.adjusted, fields, list(map(_amount, asked.values())))
+        for cause, p in zip(asked, found, strict=True):
+            self._agreed[cause.key] = p < policy.family_significance / self._families / cause.choices
 
     def needed(self, accepted: tuple[Cause, ...]) -> tuple[Cause, ...]:
         """Give up causes, the least significant one first, until each is needed beside the others."""
@@ -150,6 +155,12 @@ class Selection:
                 self.refused[cause.fault.code] = refusal.what
         self._known[key] = tested
         return tested
+
+
+def _amount(tested: Hypothesis) -> float:
+    """Amount of a field: of a change, the difference of both values."""
+    first, *rest = tested.estimates
+    return rest[0].value - first.value if rest else first.correction
 
 
 def as_good(cause: Cause, best: Hypothesis, tries: dict[Cause, Hypothesis]) -> tuple[Hypothesis, ...]:
