@@ -9,7 +9,8 @@ import numpy as np
 from scipy import special
 from scipy.linalg import block_diag
 
-from photocal.adjustment.adjust import adjusted_network
+from photocal.adjustment.adjust import minimum_of
+from photocal.adjustment.factored import factorised
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
@@ -21,6 +22,8 @@ from photocal.base.policy import policy
 # Weak observations of what control would have determined: share of c; lever arm (m), boresight (rad), time
 # offset (s); the shift is free.
 LOOSE_C, LOOSE = 0.02, np.array([1.0] * 3 + [0.1] * 3 + [1.0])
+# Left of the way to the places without control, squared, in units of the standard deviations.
+_NEAR = 1e-4
 # Coordinates of a point that a mistake concerns: its height, its place in plane, or all of them.
 _ALL_AXES = (0, 1, 2)
 _WRONG: tuple[tuple[int, ...], ...] = ((2,), (0, 1), _ALL_AXES)
@@ -139,12 +142,12 @@ def predicted(network: Network, state: State | None = None) -> Predicted | None:
         alone = replace(alone, points=free, datum_points=np.zeros(0, dtype=np.int64))
     try:
         with because("control points predicted without themselves"):
-            fitted = adjusted_network(alone, state=state)
+            problem, minimum = minimum_of(alone, state=state, near=_NEAR)
         names = [("point", network.point_names[j]) for j in control]
-        covariance = joint_covariance(fitted.factored, names)[1]
+        covariance = joint_covariance(factorised(problem, minimum), names)[1]
     except PhotocalError:
         return None
-    computed = fitted.state.points[control]
+    computed = minimum.state.points[control]
     relative = computed - computed.mean(axis=0)
     common = np.tile(np.eye(3), (len(control), 1))
     if not len(network.positions.image):
