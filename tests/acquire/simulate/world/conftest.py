@@ -9,20 +9,14 @@ from typing import Any
 import pytest
 
 from acquire.simulate.world.configuration import FlightConfiguration, read_configuration
-from acquire.simulate.world.site import simulate_flight
 from acquire.simulate.world.world import World, make_world
 from tests.conftest import Once
-
-DEMO = Path(__file__).resolve().parents[4] / "acquire" / "simulate" / "flights"
+from tests.simulated import PLANS, simulate
 
 
 def configured(name: str, **instead: Any) -> FlightConfiguration:
     """Read a demonstration with other keys at the top level."""
-    return read_configuration(DEMO / f"{name}.toml", instead)
-
-
-def nothing(_share: float) -> None:
-    """Show no progress."""
+    return read_configuration(PLANS / f"{name}.toml", instead)
 
 
 @dataclass(frozen=True)
@@ -35,9 +29,8 @@ class Flight:
 
 def flown(folder: Path, **instead: Any) -> Flight:
     """Simulate the small flight into a folder."""
-    given = configured("small", **instead)
-    simulate_flight(given, folder, nothing)
-    return Flight(folder, make_world(given))
+    simulate(folder, PLANS / "small.toml", **instead)
+    return Flight(folder, make_world(configured("small", **instead)))
 
 
 @pytest.fixture(scope="session")

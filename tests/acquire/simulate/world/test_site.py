@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from acquire.simulate.world.configuration import SimulatedFault
 from photocal.base.errors import ConfigurationError
-from tests.acquire.simulate.world.conftest import DEMO, Flight, configured, flown
+from tests.acquire.simulate.world.conftest import Flight, configured, flown
+from tests.simulated import PLANS, world_of
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -61,6 +62,12 @@ def test_the_survey_has_the_stated_sigmas() -> None:
     targets = make_world(given).targets
     error = targets.surveyed_m - targets.centre_m
     assert error.std(axis=0) == pytest.approx(given.targets.sigma_m, rel=0.15)
+
+
+@pytest.mark.parametrize("check", [0, 2])
+def test_a_site_without_control_has_check_points_alone(check: int) -> None:
+    targets = world_of(PLANS / "small.toml", targets={"control": 0, "check": check}).targets
+    assert targets.roles == ("check",) * check
 
 
 def test_camera_terms_of_the_truth_project_as_opencv(small: Flight) -> None:
@@ -283,7 +290,7 @@ def test_one_field_for_several_flights() -> None:
     ],
 )
 def test_what_cannot_be_flown(section: str, keys: dict[str, Any], words: str, tmp_path: Path) -> None:
-    with (DEMO / "small.toml").open("rb") as text:
+    with (PLANS / "small.toml").open("rb") as text:
         content = tomllib.load(text)[section] | keys
     with pytest.raises(ConfigurationError, match=words):
         flown(tmp_path, **{section: content})
@@ -296,7 +303,7 @@ def test_the_help_names_every_fault() -> None:
 
 
 def test_the_command(acquire: Acquire, tmp_path: Path) -> None:
-    config = DEMO / "small.toml"
+    config = PLANS / "small.toml"
     done = acquire(
         "simulate", "flight", config, "-o", tmp_path / "f", "--observations-only",
         "--fault", "zoom", "--seed", 9, "--json",
