@@ -8,15 +8,9 @@ from typing import Any
 
 import pytest
 
-from acquire.simulate.world.configuration import FlightConfiguration, read_configuration
-from acquire.simulate.world.world import World, make_world
+from acquire.simulate.world.world import World
 from tests.conftest import Once
-from tests.simulated import PLANS, simulate
-
-
-def configured(name: str, **instead: Any) -> FlightConfiguration:
-    """Read a demonstration with other keys at the top level."""
-    return read_configuration(PLANS / f"{name}.toml", instead)
+from tests.simulated import PLANS, simulate, world_of
 
 
 @dataclass(frozen=True)
@@ -30,16 +24,16 @@ class Flight:
 def flown(folder: Path, **instead: Any) -> Flight:
     """Simulate the small flight into a folder."""
     simulate(folder, PLANS / "small.toml", **instead)
-    return Flight(folder, make_world(configured("small", **instead)))
+    return Flight(folder, world_of(PLANS / "small.toml", **instead))
 
 
 @pytest.fixture(scope="session")
 def world() -> World:
     """The demonstration's world."""
-    return make_world(configured("survey"))
+    return world_of(PLANS / "survey.toml")
 
 
 @pytest.fixture(scope="session")
 def small(once: Once) -> Flight:
     """The small flight with pictures."""
-    return Flight(once("small", flown), make_world(configured("small")))
+    return Flight(once("small", flown), world_of(PLANS / "small.toml"))
