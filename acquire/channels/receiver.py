@@ -58,7 +58,7 @@ class ReceiverClock:
         return np.asarray(device, np.int64)
 
     def _whole(self, batch: Batch) -> tuple[Integers, Integers]:
-        epochs = ubx.decode_rawx(batch).epochs
+        epochs = ubx.decode_rawx(batch)
         f = epochs.fields
         leap = self._leaps(epochs.index, f)
         usable = f["week"] > 0
@@ -205,7 +205,7 @@ class ReceiverDecoder:
                 yield self._messages(source, new.index, publish).exposure(edge, columns)
 
     def _clocks(self, batch: Batch, log_ns: Integers, publish: Integers) -> Iterator[Decoded]:
-        epochs = ubx.decode_rawx(batch).epochs
+        epochs = ubx.decode_rawx(batch)
         f = epochs.fields
         device = publish[epochs.index]
         columns = {

@@ -141,30 +141,12 @@ def _edges(fields: NDArray[Any], letter: str, bit: int) -> tuple[NDArray[Any], .
     )
 
 
-@dataclass(frozen=True, slots=True)
-class RawObservations:
-    """RXM-RAWX: one row per epoch and one per signal.
+def decode_rawx(batch: Batch) -> UbxMessages:
+    """Decode the epochs of all RXM-RAWX messages whose length agrees with their number of signals.
 
-    epochs: receiver time (`rcvTow` in seconds of `week`), leap seconds and number of signals of each epoch.
-    epoch (m,): row of `epochs` that each signal belongs to.
-    signals (m,): pseudorange `prMes` (m), carrier phase `cpMes` (cycles), Doppler `doMes` (Hz), satellite and
-        quality, in the units and names of the interface description.
+    Their fields are receiver time (`rcvTow` in seconds of `week`), leap seconds and number of signals.
     """
-
-    epochs: UbxMessages
-    epoch: Integers
-    signals: NDArray[Any]
-
-
-def decode_rawx(batch: Batch) -> RawObservations:
-    """Decode all RXM-RAWX messages whose length agrees with their number of signals."""
-    messages, signal = decode(batch, RXM_RAWX), signal_layout()
+    messages = decode(batch, RXM_RAWX)
     count = messages.fields["numMeas"].astype(np.int64)
-    whole = batch.length[messages.index] == 24 + signal.itemsize * count
-    epochs = UbxMessages(messages.index[whole], messages.fields[whole])
-    count = count[whole]
-    epoch = np.repeat(np.arange(len(count)), count)
-    within = np.arange(len(epoch)) - (np.cumsum(count) - count)[epoch]
-    start = batch.start[epochs.index][epoch] + 22 + signal.itemsize * within
-    signals = gather(batch.data, start, np.full(len(start), signal.itemsize), signal)
-    return RawObservations(epochs, epoch, signals)
+    whole = batch.length[messages.index] == 24 + signal_layout().itemsize * count
+    return UbxMessages(messages.index[whole], messages.fields[whole])

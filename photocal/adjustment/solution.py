@@ -28,6 +28,18 @@ class Group:
 
 
 @dataclass(frozen=True)
+class ComponentFactor:
+    """By what the given sigmas of a group of observations were multiplied; no sigma where it was held."""
+
+    name: str
+    observations: int
+    redundancy: float
+    factor: float
+    sigma: float | None
+    estimated: bool
+
+
+@dataclass(frozen=True)
 class GlobalTest:
     """Chi-square test of the a posteriori against the a priori unit variance; one-sided from 0.
 

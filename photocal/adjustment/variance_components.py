@@ -13,7 +13,7 @@ from photocal.adjustment.adjust import adjusted_network
 from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.groups import groups_of_rays
 from photocal.adjustment.network import Network
-from photocal.adjustment.solution import Group, Solution
+from photocal.adjustment.solution import ComponentFactor, Group, Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State
 from photocal.base.arrays import Integers
@@ -26,33 +26,13 @@ RayGroups = tuple[tuple[str, ...], Integers]
 
 
 @dataclass(frozen=True)
-class Component:
-    """What was found for one group of observations.
-
-    factor: by which the given standard deviations are to be multiplied.
-    sigma: standard deviation of `factor`; infinite where the group was left as it was given.
-    """
-
-    name: str
-    observations: int
-    redundancy: float
-    factor: float
-    sigma: float
-
-    @property
-    def estimated(self) -> bool:
-        """Whether the factor was estimated."""
-        return bool(np.isfinite(self.sigma))
-
-
-@dataclass(frozen=True)
 class VarianceComponents:
     """Estimated variance components and the adjustment with them.
 
     fitted: the network with the standard deviations that were found, adjusted.
     """
 
-    components: tuple[Component, ...]
+    components: tuple[ComponentFactor, ...]
     fitted: AdjustedNetwork
     rounds: int
 
@@ -131,7 +111,7 @@ def estimate_components(
 
 def _components(
     groups: list[Group], free: Collection[str], factors: dict[str, float]
-) -> tuple[Component, ...]:
+) -> tuple[ComponentFactor, ...]:
     """The components with the standard deviation of a variance: sigma^2 sqrt(2 / r) (Foerstner 1979).
 
     It leaves out what the groups share, which is little when each has redundancy of its own.
@@ -139,8 +119,10 @@ def _components(
     result = []
     for group in groups:
         factor = factors.get(group.name, 1.0)
-        sigma = factor / np.sqrt(2 * group.redundancy) if group.name in free else np.inf
-        result.append(Component(group.name, group.observations, group.redundancy, factor, float(sigma)))
+        held = group.name not in free
+        sigma = None if held else factor / float(np.sqrt(2 * group.redundancy))
+        of_group = group.name, group.observations, group.redundancy
+        result.append(ComponentFactor(*of_group, factor, sigma, estimated=not held))
     return tuple(result)
 
 

@@ -33,6 +33,8 @@ def spread(places: Floats, count: int, first: list[int]) -> list[int]:
 
     first: empty: the place farthest from the middle. Source: Gonzalez (1985).
     """
+    if not count:
+        return []
     chosen = first or [int(np.argmax(np.hypot(*(places - places.mean(axis=0)).T)))]
     while len(chosen) < count:
         apart = np.hypot(*np.moveaxis(places[:, None] - places[chosen], 2, 0)).min(axis=1)

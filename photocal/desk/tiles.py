@@ -16,7 +16,7 @@ from photocal.base.checked_toml import read_tables
 from photocal.base.errors import InputNotFoundError
 from photocal.desk.session import Desk
 from photocal.measurement.marking.store import Picture, read_pictures
-from photocal.measurement.marking.tiles import HELD_PX, TileAddress, Tiles
+from photocal.measurement.marking.tiles import HELD_PX, Tiles
 
 # Decoded pictures in memory where one is looked at, and the others are thumbnails.
 _ALONE_PX = 25_000_000
@@ -63,7 +63,7 @@ def route(known: Pictures, cache: Path, side_by_side: Callable[[], bool]) -> Rou
             raise missing(picture.reason, "choose another picture")
         if side_by_side():
             tiles.held_px = HELD_PX
-        return tiles.tile(picture.path, TileAddress(level, column, row))
+        return tiles.tile(picture.path, level, column, row)
 
     async def give(request: Request) -> Response:
         """Answer with a tile."""

@@ -255,14 +255,8 @@ def _alike(one: MarkFrame, other: MarkFrame, marks: Sequence[Mark], facts: Facts
     return all(math.hypot(a.x - b.x, a.y - b.y) < 1.0 for a, b in pairs)
 
 
-@dataclass(frozen=True)
-class _Carried:
-    """Two marks of a point, and places that both pictures show, (n, 2) each."""
-
-    first: Mark
-    second: Mark
-    here: Floats
-    there: Floats
+# Two marks of a point, and places that both pictures show, (n, 2) each.
+_Carried = tuple[Mark, Mark, Floats, Floats]
 
 
 def _carried(marks: Sequence[Mark], folder: Mapping[str, Path]) -> list[_Carried]:
@@ -280,7 +274,7 @@ def _carried(marks: Sequence[Mark], folder: Mapping[str, Path]) -> list[_Carried
         rows = match(one, other, MatchSettings())
         if len(rows) >= FEWEST:
             here, there = one.pixels[rows[:, 0]], other.pixels[rows[:, 1]]
-            carried.append(_Carried(first, second, here.astype(np.float64), there.astype(np.float64)))
+            carried.append((first, second, here.astype(np.float64), there.astype(np.float64)))
         if len(carried) == MOST_PAIRS:
             break
     return carried
@@ -304,15 +298,15 @@ def _features(name: str, folder: Mapping[str, Path], seen: dict[str, Features | 
 def _miss(frame: MarkFrame, carried: Sequence[_Carried], facts: Facts) -> float:
     """By how much marks of one point miss each other, share of the diagonal."""
     misses = []
-    for pair in carried:
-        first, second = frame.stored([pair.first, pair.second], facts)
+    for one, other, here, there in carried:
+        first, second = frame.stored([one, other], facts)
         place = np.array([first.x, first.y])
-        near = np.argsort(np.linalg.norm(pair.here - place, axis=1))[:NEAREST]
+        near = np.argsort(np.linalg.norm(here - place, axis=1))[:NEAREST]
         # The ground near a mark is level enough for an affine transformation.
-        design = np.column_stack([pair.here[near] - place, np.ones(len(near))])
-        there = np.linalg.lstsq(design, pair.there[near], rcond=None)[0][2]
+        design = np.column_stack([here[near] - place, np.ones(len(near))])
+        found = np.linalg.lstsq(design, there[near], rcond=None)[0][2]
         diagonal = math.hypot(*facts[second.image].size_px)
-        misses.append(math.hypot(*(there - [second.x, second.y])) / diagonal)
+        misses.append(math.hypot(*(found - [second.x, second.y])) / diagonal)
     return float(np.median(misses))
 
 

@@ -14,7 +14,7 @@ from photocal.measurement.listed_positions import (
     judge_marks,
 )
 from photocal.navigation.events import CameraEventList, Events
-from photocal.navigation.exposures import CameraMatch, Exposures
+from photocal.navigation.exposures import Exposures, Matching
 from photocal.navigation.image_metadata import ImageMetadata, stated_places
 from photocal.navigation.position_comparison import PositionPairs, compare_positions, judge_positions
 from photocal.navigation.ppk_figures import PpkFigures
@@ -84,7 +84,7 @@ def _listed_events(e: Evidence) -> list[Finding]:
 
 
 def times_against_pictures(
-    events: Events, cameras: list[CameraMatch], images: list[ImageMetadata]
+    events: Events, cameras: list[Matching], images: list[ImageMetadata]
 ) -> list[Finding]:
     """Compare events with pictures that state the UTC of their exposure: no clocks are between them."""
     # Events and the UTC that pictures state of the same exposures differ by less: delays of shutters.
@@ -92,8 +92,8 @@ def times_against_pictures(
     utc, findings = {image.name for image in images if image.utc}, list[Finding]()
     leap = float(leap_seconds(events.time[[0]])[0]) if len(events) else 0.0
     for camera in cameras:
-        matched = [camera.names[i] for i in camera.matching.image.tolist()]
-        late = camera.matching.offset_s
+        matched = [camera.names[i] for i in camera.image.tolist()]
+        late = camera.offset_s
         if not matched or not utc.issuperset(matched) or abs(late) < same_time_s:
             continue
         hours = round(late / 3600.0)

@@ -65,9 +65,8 @@ def _places(run: ExposureRun, minutes: Floats, track: Any, height: Any) -> None:
 
 def _timing(run: ExposureRun, minutes: Floats, timing: Any) -> None:
     if run.cameras:
-        for camera in run.cameras:
-            m = camera.matching
-            timing.plot(minutes[m.event], m.residual_s * 1e3, ".", ms=4, label=camera.camera)
+        for m in run.cameras:
+            timing.plot(minutes[m.event], m.residual_s * 1e3, ".", ms=4, label=m.camera)
         timing.axhline(0.0, color="0.7", lw=0.8, zorder=0)
         timing.legend()
         title, label = "Event minus image, offset and drift removed", "residual / ms"

@@ -29,7 +29,7 @@ from photocal.navigation.exposure_sources import (
     events_of_images,
     placed_by,
 )
-from photocal.navigation.exposures import CameraMatch, Exposures, at_camera, at_events, match_images
+from photocal.navigation.exposures import Exposures, Matching, at_camera, at_events, match_images
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.image_checks import TieMatching, check_images, check_oriented, oriented_images
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, read_images
@@ -50,7 +50,7 @@ _VERDICTS = {"passed": "passed", "note": "passed", "untested": "not possible"}
 def exposure_figures(
     exposures: Exposures,
     events: Events,
-    cameras: list[CameraMatch],
+    cameras: list[Matching],
     clocks: list[ComparedClocks],
     checks: list[Finding],
     ppk: PpkFigures | None,
@@ -120,13 +120,12 @@ def _medians(values: Floats) -> Floats | None:
     return np.median(known, axis=0) if len(known) else None
 
 
-def _camera(camera: CameraMatch, events: Events) -> dict[str, Any]:
-    m = camera.matching
+def _camera(m: Matching, events: Events) -> dict[str, Any]:
     return {
-        "camera": camera.camera,
+        "camera": m.camera,
         "matched": len(m.image),
-        "unmatched_images": [camera.names[i] for i in m.unmatched_images.tolist()],
-        "ambiguous_images": [camera.names[i] for i in m.ambiguous_images.tolist()],
+        "unmatched_images": [m.names[i] for i in m.unmatched_images.tolist()],
+        "ambiguous_images": [m.names[i] for i in m.ambiguous_images.tolist()],
         "unmatched_events": events.number[m.unmatched_events],
         **picked(m, clock_offset_s="offset_s", clock_offset_sigma_s="offset_sigma_s", residual_s="scatter_s"),
         "clock_drift_ppm": m.drift * 1e6,
@@ -134,19 +133,18 @@ def _camera(camera: CameraMatch, events: Events) -> dict[str, Any]:
     }
 
 
-def _unmatched(cameras: list[CameraMatch], events: Events) -> Iterator[Finding]:
+def _unmatched(cameras: list[Matching], events: Events) -> Iterator[Finding]:
     """Find images and events without a partner."""
-    for camera in cameras:
-        m = camera.matching
+    for m in cameras:
         images = {"images-without-event": m.unmatched_images, "images-ambiguous": m.ambiguous_images}
         for code, rows in images.items():
-            names = tuple(camera.names[i] for i in rows.tolist())
+            names = tuple(m.names[i] for i in rows.tolist())
             if names:
-                yield Finding(code, "doubtful", camera.camera, {"n": float(len(names)), "images": names})
+                yield Finding(code, "doubtful", m.camera, {"n": float(len(names)), "images": names})
         numbers = tuple(str(events.number[i]) for i in m.unmatched_events.tolist())
         if numbers:
             figures = {"n": float(len(numbers)), "events": numbers}
-            yield Finding("events-without-image", "doubtful", camera.camera, figures)
+            yield Finding("events-without-image", "doubtful", m.camera, figures)
 
 
 def _missing(exposures: Exposures) -> Iterator[Finding]:
@@ -252,7 +250,7 @@ class ExposureRun:
     antenna: Exposures
     exposures: Exposures
     trajectory: Trajectory | None
-    cameras: list[CameraMatch]
+    cameras: list[Matching]
     images: list[ImageMetadata]
     checks: list[Finding]
     figures: dict[str, Any]
@@ -293,7 +291,7 @@ def place_exposures(
         return _without_events(choices, rover, vehicle, images)
     events = noted.delayed(choices.delay_s, choices.delay_sigma_s)
     names: list[tuple[str, ...]] = [()] * len(events)
-    cameras: list[CameraMatch] = []
+    cameras: list[Matching] = []
     if images:
         names, cameras = match_images(images, events, choices.largest_offset_s)
     by_name = {image.name: image for image in images}
@@ -367,7 +365,7 @@ def _without_events(
 
 
 def _judged(
-    choices: ExposureChoices, evidence: Evidence, exposures: Exposures, cameras: list[CameraMatch]
+    choices: ExposureChoices, evidence: Evidence, exposures: Exposures, cameras: list[Matching]
 ) -> ExposureRun:
     vehicle, images, ppk = evidence.vehicle, evidence.images, evidence.ppk
     gnss = _receiver_clock(evidence.rover)

@@ -33,8 +33,9 @@ class UnrelatedImagesError(IllPosedError):
 
 @dataclass(frozen=True)
 class Matching:
-    """Images and events that belong together.
+    """Images of a camera and events that belong together.
 
+    camera, names: of the camera and of its images, where they are known by more than their times.
     image, event (n,): indices of the pairs, in the order of time.
     unmatched_images, unmatched_events: indices of the rest.
     ambiguous_images: of the unmatched images those with several possible events.
@@ -54,6 +55,8 @@ class Matching:
     drift_sigma: float
     scatter_s: float
     residual_s: Floats
+    camera: str = ""
+    names: tuple[str, ...] = ()
 
 
 def no_matching(images: int) -> Matching:
@@ -415,25 +418,16 @@ def orientations(exposures: Exposures, rig: CameraOnBody) -> Orientations:
     return Orientations(to_camera @ exposures.attitude.rotation, covariance)
 
 
-@dataclass(frozen=True)
-class CameraMatch:
-    """The images of one camera and the events that they belong to."""
-
-    camera: str
-    names: list[str]
-    matching: Matching
-
-
 def match_images(
     images: list[ImageMetadata], events: Events, largest_offset_s: float
-) -> tuple[list[tuple[str, ...]], list[CameraMatch]]:
+) -> tuple[list[tuple[str, ...]], list[Matching]]:
     """Match images to events, camera by camera.
 
     raises IllPosedError: when those of one may belong to several events; when those of none belong to any: a
         telephone's among them need not.
     """
     names: list[tuple[str, ...]] = [()] * len(events)
-    matches, refusals = list[CameraMatch](), list[UnrelatedImagesError]()
+    matches, refusals = list[Matching](), list[UnrelatedImagesError]()
     event_s = (events.time.ns - events.time.ns[0]) / 1e9
     origin_s = float(events.time.to_utc().ns[0]) / 1e9
     for camera in dict.fromkeys(image.camera for image in images):
@@ -447,7 +441,7 @@ def match_images(
             matching = no_matching(len(of_camera))
         for i, e in zip(matching.image.tolist(), matching.event.tolist(), strict=True):
             names[e] = (*names[e], of_camera[i].name)
-        matches.append(CameraMatch(camera, [image.name for image in of_camera], matching))
+        matches.append(replace(matching, camera=camera, names=tuple(image.name for image in of_camera)))
     if len(refusals) == len(matches):
         raise refusals[0]
     return names, matches

@@ -1,18 +1,16 @@
 """Where base, rover, ephemerides and the base's position come from: a flight log, RINEX files or both."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.base.time_scales import GPS_EPOCH_NS
 from photocal.geometry.realizations import realization
 from photocal.navigation.base_frame import BaseFrame, decimal_year
-from photocal.navigation.common_errors import parse_weather
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, parse_position
@@ -55,17 +53,6 @@ class Sources:
     weather: AirAtBase | None = None
     base_frame: str | None = None
     crs: str | None = None
-
-    def with_base(self, sigma: str | None, weather: str | None) -> Self:
-        """Return the sources with what a person states of the base.
-
-        sigma: ``E,N,U``: standard deviations of its position, m.
-        weather: ``TEMPERATURE,HUMIDITY[,PRESSURE]``.
-        raises ConfigurationError: when a text is none of these; named by its option.
-        """
-        sigmas = None if sigma is None else np.array(numbers_of(sigma, "--base-sigma", "E,N,U: metres"))
-        air = None if weather is None else parse_weather(weather, "--weather")
-        return replace(self, base_sigma_m=sigmas, weather=air)
 
 
 def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Inputs, list[str]]:

@@ -80,7 +80,7 @@ class ReceiverRecording:
                 self.time_marks.append(replace(marks, index=messages.sequence[marks.index]))
 
     def _add_ubx(self, batch: Batch, messages: LoggedMessages) -> None:
-        raw = ubx.decode_rawx(batch).epochs
+        raw = ubx.decode_rawx(batch)
         empty = raw.fields["numMeas"] == 0
         untimed = ~empty & ((raw.fields["week"] == 0) | ~np.isfinite(raw.fields["rcvTow"]))
         used = ~empty & ~untimed

@@ -14,6 +14,7 @@ from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_folder, write_json
 from photocal.base.operating_system import cache_folder
 from photocal.measurement.match_images import MatchingPlan
+from photocal.navigation.common_errors import parse_weather
 from photocal.navigation.engine import Mode, Rtklib
 from photocal.navigation.exposure_files import write_run
 from photocal.navigation.exposure_run import ExposureChoices, ExposureRun, choices_of_project, run_exposures
@@ -224,6 +225,7 @@ def sources_of(flight: Paths, receivers: ReceiverOptions, crs: str | None = None
 
     crs: system of the control.
     """
+    sigma, weather = receivers.base_sigma, receivers.weather
     return Sources(
         FlightLog(_paths(flight)),
         None if receivers.rover is None else Path(receivers.rover),
@@ -232,9 +234,11 @@ def sources_of(flight: Paths, receivers: ReceiverOptions, crs: str | None = None
         receivers.base_position,
         receivers.rover_link,
         receivers.base_link,
+        base_sigma_m=None if sigma is None else np.array(numbers_of(sigma, "--base-sigma", "E,N,U: metres")),
+        weather=None if weather is None else parse_weather(weather, "--weather"),
         base_frame=receivers.base_frame,
         crs=crs,
-    ).with_base(receivers.base_sigma, receivers.weather)
+    )
 
 
 def rig_of(asked: ExposureOptions) -> CameraOnBody:

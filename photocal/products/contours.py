@@ -162,7 +162,7 @@ def _terrain(dtm: Path, options: ContourOptions) -> Terrain:
     if dtm.suffix.lower() == ".csv":
         if options.cell is None or options.heights is None:
             raise ConfigurationError(f"{dtm} is a table of points", "give --cell and --heights with it")
-        return grid_of_points(read_terrain_points(dtm), options.cell, wished, options.heights)[0]
+        return grid_of_points(*read_terrain_points(dtm), options.cell, wished, options.heights)[0]
     if options.cell is not None:
         raise ConfigurationError("--cell is for a CSV of terrain points", "leave it out")
     raster = describe(dtm)

@@ -201,11 +201,11 @@ def _terrain_file(dtm: Path, asked: OrthoOptions) -> tuple[Path, list[str]]:
         raise ConfigurationError(
             f"{dtm} is a table of points", "give --dtm-cell, --dtm-output and --heights with it"
         )
-    points = read_terrain_points(dtm)
+    xyz, line = read_terrain_points(dtm)
     system = "" if asked.crs is None else system_wkt(asked.crs)
-    terrain, triangles, flat = grid_of_points(points, cell, system, asked.heights)
+    terrain, triangles, flat = grid_of_points(xyz, line, cell, system, asked.heights)
     write_terrain(terrain, output)
-    note = f"{output}: {len(points.xyz)} points, {triangles} triangles"
+    note = f"{output}: {len(xyz)} points, {triangles} triangles"
     if flat:
         note += f", {flat} of them level within one contour (summits and hollows are cut off)"
     return output, [note]

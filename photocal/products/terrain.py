@@ -129,22 +129,12 @@ def bounds_of(transform: Transform, columns: int, rows: int) -> Bounds:
     return min(x), min(y), max(x), max(y)
 
 
-@dataclass(frozen=True)
-class TerrainPoints:
-    """Points on the terrain.
-
-    line (n,): contour of each point, in the order along it; -1 for a point of its own.
-    """
-
-    xyz: Floats
-    line: Integers
-
-
-def read_terrain_points(path: Path) -> TerrainPoints:
+def read_terrain_points(path: Path) -> tuple[Floats, Integers]:
     """Read points, vertices of contours, or the points of an adjustment.
 
     path: CSV with X, Y, Z (m) and optional `line`; `points.csv` of a block or a run is one too. Points
         without height, and check points, are left out.
+    returns xyz (n, 3), line (n,): contour of each point, in the order along it; -1 for a point of its own.
     raises InputNotFoundError, InputMalformedError: when it is no such table.
     """
     table = read_table(path, ("X", "Y", "Z"), ("line", "point", "role", "sX", "sY", "sZ", "rays"))
@@ -157,14 +147,15 @@ def read_terrain_points(path: Path) -> TerrainPoints:
         # Check points judge the product; they must not make it.
         index, roles = table.names("role")
         keep &= np.array([role != "check" for role in roles])[index]
-    return TerrainPoints(xyz[keep], line[keep])
+    return xyz[keep], line[keep]
 
 
 def grid_of_points(
-    points: TerrainPoints, cell: float, crs: str, height_kind: str
+    xyz: Floats, line: Integers, cell: float, crs: str, height_kind: str
 ) -> tuple[Terrain, int, int]:
     """Triangulate points (Delaunay) and interpolate linearly within the triangles.
 
+    xyz, line: as of `read_terrain_points`.
     cell: size of the cells, m.
     crs: WKT of the reference system, empty for a local frame.
     returns terrain: cells outside the convex hull of the points are NaN.
@@ -178,7 +169,7 @@ def grid_of_points(
 
     if not (np.isfinite(cell) and cell > 0):
         raise ConfigurationError(f"the cell is {cell:g} m", "give a positive length in metres")
-    xyz, line = _unique(*_denser(points, 2 * cell))
+    xyz, line = _unique(*_denser(xyz, line, 2 * cell))
     if len(xyz) < 3:
         raise IllPosedError(f"{len(xyz)} points do not define a terrain", "give at least three")
     low, high = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
@@ -213,9 +204,8 @@ def grid_of_points(
     return terrain, len(network.simplices), int(flat.sum())
 
 
-def _denser(points: TerrainPoints, spacing: float) -> tuple[Floats, Integers]:
+def _denser(xyz: Floats, line: Integers, spacing: float) -> tuple[Floats, Integers]:
     """Put further vertices on the contours wherever two are farther apart than `spacing`."""
-    xyz, line = points.xyz, points.line
     if len(xyz) < 2 or not (line >= 0).any():
         return xyz, line
     step = xyz[1:] - xyz[:-1]

@@ -17,16 +17,11 @@ from photocal.adjustment.network import Network
 from photocal.adjustment.readout import adjust_moving_images, with_moving_images
 from photocal.adjustment.rig import OF_HEAD, TURN, head_rotation
 from photocal.adjustment.snooping import Test, snoop, subset
-from photocal.adjustment.solution import Solution, global_test
+from photocal.adjustment.solution import ComponentFactor, Solution, global_test
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State, head_values, lenses, start_state
 from photocal.adjustment.unknowns import XYZ
-from photocal.adjustment.variance_components import (
-    Component,
-    estimate_components,
-    rays_by_camera,
-    with_factors,
-)
+from photocal.adjustment.variance_components import estimate_components, rays_by_camera, with_factors
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.files import output_folder
 from photocal.base.version import __version__
@@ -47,7 +42,6 @@ from photocal.results.result import (
     CheckLength,
     CheckPoint,
     CheckSummary,
-    ComponentFactor,
     MountingValue,
     RejectedRay,
     Residuals,
@@ -65,7 +59,7 @@ def result_of(
     solution: Solution,
     *,
     snooping: Test | None = None,
-    components: Sequence[Component] = (),
+    components: Sequence[ComponentFactor] = (),
     timing_s: dict[str, float] | None = None,
 ) -> Result:
     """Make the result of an adjustment; covariances are scaled by the a priori unit variance."""
@@ -114,12 +108,7 @@ def result_of(
         snooping=snooping,
         mounting=_mounting(block, solution),
         heads=_heads(assembly.network, solution),
-        variance_components=tuple(
-            ComponentFactor(
-                **vars(part) | {"sigma": part.sigma if part.estimated else None, "estimated": part.estimated}
-            )
-            for part in components
-        ),
+        variance_components=tuple(components),
         readouts=assembly.readouts,
         rejected=tuple(
             RejectedRay(block.images.names[seen.image[row]], block.points.names[seen.point[row]])
@@ -454,7 +443,7 @@ def _adjusted_block(
     require_motion(block, assembly.network)
     timing = {"assemble": time.perf_counter() - began}
     assembly, solution = adjusted(assembly, snooping, report)
-    components: tuple[Component, ...] = ()
+    components: tuple[ComponentFactor, ...] = ()
     if wanted.components:
         weighed = estimate_components(assembly.network, rays_by_camera(assembly.network), report=report)
         assembly, solution = replace(assembly, network=weighed.network), weighed.solution

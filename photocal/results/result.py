@@ -13,7 +13,7 @@ import numpy as np
 
 from photocal.adjustment.readout import Readout
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
-from photocal.adjustment.solution import GlobalTest, Group
+from photocal.adjustment.solution import ComponentFactor, GlobalTest, Group
 from photocal.base.arrays import Columns, Floats, Integers
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_folder
@@ -154,18 +154,6 @@ class AdjustedHead:
         some = [k for k, name in enumerate(free) if name in wanted]
         whole[np.ix_(at, at)] = estimated[np.ix_(some, some)]
         return whole
-
-
-@dataclass(frozen=True)
-class ComponentFactor:
-    """By what the given sigmas of a group of observations were multiplied; no sigma where it was held."""
-
-    name: str
-    observations: int
-    redundancy: float
-    factor: float
-    sigma: float | None
-    estimated: bool
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from tests.benchmarks.test_engine_speed import RESULTS, ROOT
 
 PICTURES = [int(size) for size in os.environ.get("PHOTOCAL_BENCH_PICTURES", "40").split()]
 # Of the flight that is known as "survey", on 70 m by 67 m.
-KNOWN, PLAN = 42, "survey"
+KNOWN = 42
 
 pytestmark = pytest.mark.timeout(14400)
 
@@ -39,18 +39,15 @@ def photocal(*arguments: str) -> tuple[float, float]:
 
 def fly(pictures: int, folder: Path) -> Path:
     """Simulate and import a flight over as much ground as so many pictures need."""
-    from acquire.importing.importer import import_recordings
-    from acquire.simulate.world.configuration import FLIGHTS, read_configuration
-    from acquire.simulate.world.site import simulate_flight
+    from acquire.simulate.world.configuration import read_configuration
+    from tests.simulated import FLIGHT, import_log, simulate
 
-    plan = read_configuration(FLIGHTS / f"{PLAN}.toml").plan
+    plan = read_configuration(FLIGHT).plan
     wider = math.sqrt(pictures / KNOWN)
     corners = [(east * wider, north * wider) for east, north in plan.area_m]
     wide = plan.model_dump(by_alias=True, exclude_unset=True) | {"area_m": corners}
-    simulate_flight(read_configuration(FLIGHTS / f"{PLAN}.toml", {"plan": wide}), folder, lambda _: None)
-    site = folder / "site"
-    streams = [(link, path) for link in ("vehicle", "rover", "base") for path in site.glob(f"{link}.*")]
-    import_recordings(streams, [], site / "flight.mcap", lambda _: None)
+    site = simulate(folder, FLIGHT, plan=wide)
+    import_log(site)
     return site / "project.toml"
 
 

@@ -28,8 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from acquire.simulate.world.configuration import Level, read_configuration
-from acquire.simulate.world.site import simulate_flight
+from acquire.simulate.world.configuration import Level
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.mounting import COMMON
 from photocal.adjustment.solution import Solution
@@ -44,7 +43,7 @@ from photocal.project import read_project
 from photocal.results.adjusted import given_exposures, given_points
 from photocal.run.campaign import run_project
 from photocal.run.georeferencing import calibrated_on_the_job
-from tests.simulated import FLIGHT, fly
+from tests.simulated import fly, simulate
 
 Floats = NDArray[np.float64]
 
@@ -113,9 +112,7 @@ class Flown:
 
 def _fly(folder: Path, level: Level, seed: int, instead: dict[str, Any]) -> Flown:
     if level is Level.BLOCK:
-        given = read_configuration(FLIGHT, {"level": level, "seed": seed, **instead})
-        simulate_flight(given, folder, lambda _: None)
-        block = read_block(folder / "site" / "block")
+        block = read_block(simulate(folder, level=level, seed=seed, **instead) / "block")
         return Flown(block, _truth(folder), _places(folder / "truth", ("X", "Y", "Z"), ""))
     project = read_project(fly(folder, seed=seed, **instead))
     run_project(project, DAY, quiet, until="block")

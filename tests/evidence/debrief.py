@@ -24,8 +24,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from acquire.simulate.world.configuration import FLIGHTS, read_configuration
-from acquire.simulate.world.site import simulate_flight
+from acquire.simulate.world.configuration import read_configuration
 from photocal.base.progress import quiet
 from photocal.debrief.verdict import debrief
 from photocal.exchange.pinhole import Pinhole, from_pinhole
@@ -38,15 +37,14 @@ from tests.photocal.debrief.conftest import (
     SERIAL,
     TAKEN,
     edited,
-    import_log,
     names,
     smeared,
 )
+from tests.simulated import FLIGHT, LINKS, import_log, simulate
 
 OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "debrief.md"
 # The flight "survey" has so many pictures, of 1824 px; here they are three times as long, and all is higher.
 KNOWN, PICTURES, LONGER, HIGHER = 42, 60, 3, 2.4
-LINKS = ("vehicle", "rover", "base")
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ class Fault:
 
 def plan(pictures: int) -> dict[str, Any]:
     """Tables of the flight that differ from "survey"."""
-    given = read_configuration(FLIGHTS / "survey.toml")
+    given = read_configuration(FLIGHT)
     wider = HIGHER * math.sqrt(pictures / KNOWN)
     area = [(east * wider, north * wider) for east, north in given.plan.area_m]
     passes = [
@@ -84,15 +82,15 @@ def fly(folder: Path, tables: dict[str, Any]) -> Path:
     """Simulate a flight and import its log, once; its site."""
     site = folder / "site"
     if not (site / "flight.mcap").exists():
-        simulate_flight(read_configuration(FLIGHTS / "survey.toml", tables), folder, lambda _: None)
-        import_log(site, LINKS)
+        simulate(folder, **tables)
+        import_log(site)
     return site
 
 
 def last_camera(site: Path, zoom: float) -> Camera:
     """Camera of the last certificate: the true one, or another."""
     true = json.loads((site.parent / "truth" / "truth.json").read_text(encoding="utf-8"))["camera"]
-    camera = read_configuration(FLIGHTS / "survey.toml", {"camera": plan(KNOWN)["camera"]}).camera
+    camera = read_configuration(FLIGHT, {"camera": plan(KNOWN)["camera"]}).camera
     distortion = (camera.k1, camera.k2, camera.k3, camera.p1, camera.p2)
     pinhole = Pinhole(camera.size_px, zoom * camera.fx, zoom * camera.fy, camera.cx, camera.cy, *distortion)
     known = from_pinhole(pinhole, true["id"], "last certificate")
@@ -138,7 +136,7 @@ def _slipped(site: Path, slipped: Path) -> None:
     for link in LINKS:
         for path in slipped.glob(f"{link}.*"):
             shutil.copyfile(path, site / path.name)
-    import_log(site, LINKS)
+    import_log(site)
 
 
 def _smeared(image: Any) -> Any:

@@ -24,7 +24,7 @@ from photocal.exchange.opencv import read_opencv
 from photocal.exchange.opensfm import read_cameras
 from photocal.exchange.reference_table import read_references
 from photocal.measurement.image_file import opened
-from photocal.measurement.marking.tiles import TileAddress, Tiles
+from photocal.measurement.marking.tiles import Tiles
 from photocal.measurement.marks import read_any_marks, read_control_marks
 from photocal.navigation.image_metadata import read_images
 from photocal.planning.area import read_area
@@ -154,7 +154,7 @@ def test_tiles_of_impossible_levels_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "small.png"
     path.write_bytes(png(100, 100))
     tiles = Tiles(tmp_path / "cache")
-    tiles.tile(path, TileAddress(0, 0, 0))
+    tiles.tile(path, 0, 0, 0)
     for level in (2_000_000_000, 17, -1):
         with little_memory(), pytest.raises(PhotocalError, match="no such tile"):
-            tiles.tile(path, TileAddress(level, 0, 0))
+            tiles.tile(path, level, 0, 0)

@@ -7,7 +7,6 @@ column j has its centre at the stored column 2^k j + (2^k - 1) / 2, in all forma
 import time
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,15 +26,6 @@ HELD_PX = 80_000_000
 MOST_BYTES = 2_000_000_000
 UNUSED_S = 30 * 86_400.0
 _MANY_BITS = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")
-
-
-@dataclass(frozen=True)
-class TileAddress:
-    """Where a tile is: level (a power of two of stored pixels), column and row among the tiles."""
-
-    level: int
-    column: int
-    row: int
 
 
 def coarsest_level(size_px: tuple[int, int]) -> int:
@@ -63,19 +53,20 @@ class Tiles:
         # what a thread gives back is kept for it alone.
         self._decoding = ThreadPoolExecutor(1)
 
-    def tile(self, picture: Path, address: TileAddress) -> bytes:
+    def tile(self, picture: Path, level: int, column: int, row: int) -> bytes:
         """Give a tile as JPEG.
 
+        level: a power of two of stored pixels; column and row: among its tiles.
         raises InputNotFoundError: when the picture or such a tile does not exist.
         raises InputMalformedError: when the picture cannot be read.
         """
         key = self._key(picture)
-        name = f"{address.level}-{address.column}-{address.row}.jpg"
+        name = f"{level}-{column}-{row}.jpg"
         kept = self._folder / key[:2] / key / name
         try:
             content = kept.read_bytes()
         except OSError:
-            made = self._make(picture, key, address)
+            made = self._make(picture, key, level, column, row)
             with output_file(kept) as aside:
                 aside.write_bytes(made)
             self._written += len(made)
@@ -102,24 +93,24 @@ class Tiles:
             self._keys[picture] = known
         return known[1]
 
-    def _make(self, picture: Path, key: str, address: TileAddress) -> bytes:
+    def _make(self, picture: Path, key: str, level: int, column: int, row: int) -> bytes:
         # No picture has more levels: a side of 2^24 pixels.
         most_levels = 16
-        if not 0 <= address.level <= most_levels:
+        if not 0 <= level <= most_levels:
             raise InputNotFoundError("has no such tile", "look at another place", where=picture)
-        part = self._decoding.submit(self._part, picture, key, address).result()
+        part = self._decoding.submit(self._part, picture, key, level, column, row).result()
         written = BytesIO()
         # Of JPEG: nothing is lost that an eye sees.
         quality = 88
         part.save(written, "JPEG", quality=quality)
         return written.getvalue()
 
-    def _part(self, picture: Path, key: str, address: TileAddress) -> "Image":
-        level = self._level(picture, key, address.level)
-        left, top = address.column * TILE_PX, address.row * TILE_PX
-        if address.column < 0 or address.row < 0 or left >= level.width or top >= level.height:
+    def _part(self, picture: Path, key: str, level: int, column: int, row: int) -> "Image":
+        whole = self._level(picture, key, level)
+        left, top = column * TILE_PX, row * TILE_PX
+        if column < 0 or row < 0 or left >= whole.width or top >= whole.height:
             raise InputNotFoundError("has no such tile", "look at another place", where=picture)
-        return level.crop((left, top, min(left + TILE_PX, level.width), min(top + TILE_PX, level.height)))
+        return whole.crop((left, top, min(left + TILE_PX, whole.width), min(top + TILE_PX, whole.height)))
 
     def _level(self, picture: Path, key: str, level: int) -> "Image":
         held = self._levels.get((key, level))

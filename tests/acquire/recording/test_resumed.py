@@ -50,5 +50,5 @@ def test_both_logs_are_one_flight(tmp_path: Path) -> None:
     frames = [
         frame for _, messages in FlightLog(logs).raw(Wire.UBX, link="rover") for frame in messages.payloads
     ]
-    epochs = ubx_decode.decode_rawx(StreamFramer((Wire.UBX,)).feed(b"".join(frames))).epochs
+    epochs = ubx_decode.decode_rawx(StreamFramer((Wire.UBX,)).feed(b"".join(frames)))
     assert epochs.fields["rcvTow"].tolist() == list(range(200))

@@ -98,8 +98,10 @@ def test_relations_and_held_groups() -> None:
     found = {c.name: c for c in estimate_components(network, hold=("image",)).components}
     assert not found["image"].estimated
     assert found["image"].factor == 1.0
-    assert found["distance"].factor == pytest.approx(3.0, abs=4 * found["distance"].sigma)
-    assert found["distance"].sigma == pytest.approx(3.0 / np.sqrt(2 * found["distance"].redundancy), rel=0.4)
+    sigma = found["distance"].sigma
+    assert sigma is not None
+    assert found["distance"].factor == pytest.approx(3.0, abs=4 * sigma)
+    assert sigma == pytest.approx(3.0 / np.sqrt(2 * found["distance"].redundancy), rel=0.4)
 
 
 def test_nothing_to_see() -> None:

@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 from PIL import Image, ImageFilter
 
-from acquire.importing.importer import import_recordings
-from acquire.simulate.world.configuration import FLIGHTS, read_configuration
-from acquire.simulate.world.site import simulate_flight
+from acquire.simulate.world.configuration import read_configuration
+from tests.simulated import PLANS, import_log, simulate
 
 SIZE, FOCAL = (640, 480), 471.4
 LENS = {"size_px": SIZE, "pitch_mm": 0.01872, "fx": FOCAL, "fy": FOCAL, "cx": 321.4, "cy": 238.1}
@@ -37,18 +36,11 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def fly(folder: Path, **changed: object) -> Path:
     """Simulate the flight and import its log."""
-    known = read_configuration(FLIGHTS / "small.toml").camera.model_dump(exclude_unset=True)
-    given = read_configuration(FLIGHTS / "small.toml", {"camera": {**known, **LENS}, **changed})
-    simulate_flight(given, folder, lambda _: None)
-    site = folder / "site"
-    import_log(site, ("vehicle", "rover", "base"))
+    plan = PLANS / "small.toml"
+    known = read_configuration(plan).camera.model_dump(exclude_unset=True)
+    site = simulate(folder, plan, **{"camera": {**known, **LENS}, **changed})
+    import_log(site)
     return site
-
-
-def import_log(site: Path, links: tuple[str, ...]) -> None:
-    (site / "flight.mcap").unlink(missing_ok=True)
-    found = [(link, path) for link in links for path in site.glob(f"{link}.*")]
-    import_recordings(found, [], site / "flight.mcap", lambda _: None)
 
 
 def edited(

@@ -28,10 +28,10 @@ from tests.photocal.debrief.conftest import (
     TAKEN,
     edited,
     fly,
-    import_log,
     names,
     smeared,
 )
+from tests.simulated import import_log
 
 
 @pytest.fixture

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from acquire.simulate.world.configuration import read_configuration
-from acquire.simulate.world.site import simulate_flight
 from photocal.base.errors import IllPosedError
 from photocal.block.folder import read_block
 from photocal.georeferencing.comparison import differences
@@ -22,7 +20,7 @@ from photocal.georeferencing.methods import (
     with_attitude_angles,
 )
 from tests.photocal.georeferencing.flights import Plan, fly
-from tests.simulated import PLANS
+from tests.simulated import PLANS, simulate
 
 SEEDS = 6
 SMALL = Plan(tie=50)
@@ -105,9 +103,8 @@ def test_images_without_noise_are_met(tmp_path: Path) -> None:
 
 def test_rays_that_meet_nowhere_are_refused(tmp_path: Path) -> None:
     """Events 18 s off: each exposure is placed where another one was."""
-    plan = PLANS / "small.toml"
     wrong = {"level": "block", "faults": ["event_time_base"], "observing": {"ties": 20}}
-    simulate_flight(read_configuration(plan, wrong), tmp_path / "flight", lambda _: None)
-    block = with_attitude_angles(checkable(in_local_frame(read_block(tmp_path / "flight/site/block"))))
+    site = simulate(tmp_path / "flight", PLANS / "small.toml", **wrong)
+    block = with_attitude_angles(checkable(in_local_frame(read_block(site / "block"))))
     with pytest.raises(IllPosedError, match=r"rays .* that meet"):
         of_method(block, "direct")

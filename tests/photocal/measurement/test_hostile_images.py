@@ -24,7 +24,7 @@ from photocal.measurement.image_file import list_images, read_grey
 from photocal.measurement.markers import dictionary, find_board, find_markers, parse_board
 from photocal.measurement.marking.service import MarkingService
 from photocal.measurement.marking.store import MarkStore, scene_of_folder
-from photocal.measurement.marking.tiles import TileAddress, Tiles
+from photocal.measurement.marking.tiles import Tiles
 from photocal.measurement.target_centre import TargetImage
 from photocal.measurement.target_search import find_targets
 
@@ -134,9 +134,7 @@ def test_targets_lie_on_the_stored_grid(folder: Path, name: str) -> None:
     question = {"image": name, "point": "P", "x": DISC[0] + 2, "y": DISC[1] - 3, "kinds": ["circle"]}
     assert read_facts(folder / name).size_px == SIZE
     if name in ("turned6.tif", "packed8.tif", "turned6.jpg", "palette.png"):
-        tile = Image.open(BytesIO(Tiles(folder.parent).tile(folder / name, TileAddress(0, 0, 0)))).convert(
-            "L"
-        )
+        tile = Image.open(BytesIO(Tiles(folder.parent).tile(folder / name, 0, 0, 0))).convert("L")
         assert np.abs(np.asarray(tile, float) - picture()).mean() < 2
     answer = service.mark(json.dumps(question).encode())
     assert answer["snapped"] == "circle"
@@ -159,7 +157,7 @@ def test_wrecks_are_named_on_the_page(folder: Path, tmp_path: Path, name: str) -
     question = {"image": name, "point": "P", "x": 5, "y": 5}
     for act in (
         lambda: service.mark(json.dumps(question).encode()),
-        lambda: Tiles(tmp_path).tile(folder / name, TileAddress(0, 0, 0)),
+        lambda: Tiles(tmp_path).tile(folder / name, 0, 0, 0),
     ):
         with pytest.raises(PhotocalError, match=name.replace(".", r"\.")):
             act()

@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquire.simulate.world.configuration import FLIGHTS, read_configuration
-from acquire.simulate.world.exposures import antenna_velocity, omega_phi_kappa
+from acquire.simulate.world.exposures import antenna_velocity
 from acquire.simulate.world.observations import observe, seen
-from acquire.simulate.world.world import World, make_world
+from acquire.simulate.world.world import World
 from photocal.base.geopackage import LOCAL
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
@@ -33,13 +32,14 @@ from photocal.planning.flown import (
 from photocal.planning.flown_output import write_flown
 from tests.photocal.conftest import Answer
 from tests.photocal.georeferencing.flights import Plan, fly
+from tests.simulated import true_poses, world_of
 
 CHANGED = "2025-06-16T12:00:00.000Z"
 
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return make_world(read_configuration(FLIGHTS / "survey.toml", {}))
+    return world_of()
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +49,7 @@ def images(world: World) -> OrientedImages:
     true = world.camera.certificate_terms("px")
     size = (world.camera.width, world.camera.height)
     own = camera("sim", "brown-ideal", "px", size, (1.0, 1.0), true, affinity="after")
-    pose = world.exposures.pose
-    values = np.column_stack([omega_phi_kappa(pose.rotation), pose.centre_m])
+    values = true_poses(world)
     values += rng.normal(0.0, 1.0, values.shape) * np.array([2e-4, 2e-4, 2e-4, 0.02, 0.02, 0.03])
     return OrientedImages(world.exposures.names, (own,), np.zeros(len(values), np.int64), values)
 

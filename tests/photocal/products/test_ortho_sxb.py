@@ -32,7 +32,7 @@ def test_the_orthophoto_has_the_check_points_in_their_places(shared: Path, tmp_p
     source = shared / "data" / "dbat-sxb"
     adjust_block(source / "script" / "sxb.xml", tmp_path / "run", read=read_any_block)
     block, frame, shots = oriented(source / "script" / "sxb.xml", tmp_path / "run")
-    terrain = grid_of_points(read_terrain_points(tmp_path / "run" / "points.csv"), 2.0, "", "local")[0]
+    terrain = grid_of_points(*read_terrain_points(tmp_path / "run" / "points.csv"), 2.0, "", "local")[0]
     observations = block.observations
     for point in np.flatnonzero(block.points.of_role("check")):
         surveyed = block.points.values[point]

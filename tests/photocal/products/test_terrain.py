@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError
 from photocal.products.raster import describe, same_system, system_wkt, terrain_source, write_terrain
-from photocal.products.terrain import Terrain, TerrainPoints, grid_of_points, read_terrain_points
+from photocal.products.terrain import Terrain, grid_of_points, read_terrain_points
 from tests.photocal.products.test_orthophoto import write_job
 
 Floats = NDArray[np.float64]
 
 
-def loose(xyz: Floats) -> TerrainPoints:
-    return TerrainPoints(xyz, np.full(len(xyz), -1))
+def loose(xyz: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    return xyz, np.full(len(xyz), -1)
 
 
 def centers(terrain: Terrain) -> tuple[Floats, Floats]:
@@ -45,7 +45,7 @@ def test_a_plane_stays_a_plane(
     random = np.random.default_rng(seed)
     xy = random.uniform(0, 100, (40, 2))
     z = slope[0] * xy[:, 0] + slope[1] * xy[:, 1] + slope[2]
-    terrain = grid_of_points(loose(np.column_stack([xy + shift, z])), 5.0, "", "local")[0]
+    terrain = grid_of_points(*loose(np.column_stack([xy + shift, z])), 5.0, "", "local")[0]
     x, y = centers(terrain)
     found = np.isfinite(terrain.heights)
     assert found.mean() > 0.5
@@ -60,7 +60,7 @@ def test_a_plane_stays_a_plane(
 def test_triangles_equal_those_of_matplotlib() -> None:
     random = np.random.default_rng(13)
     xyz = np.column_stack([random.uniform(0, 80, (200, 2)), random.normal(0, 5, 200)])
-    terrain, _, flat = grid_of_points(loose(xyz), 1.0, "", "local")
+    terrain, _, flat = grid_of_points(*loose(xyz), 1.0, "", "local")
     x, y = centers(terrain)
     peer = LinearTriInterpolator(Triangulation(xyz[:, 0], xyz[:, 1]), xyz[:, 2])(x, y)
     ours = np.isfinite(terrain.heights)
@@ -79,8 +79,8 @@ def test_contours_are_followed() -> None:
             np.column_stack([radius * np.cos(angle), radius * np.sin(angle), 0 * angle + 40 - radius])
         )
         lines += [number] * 24
-    contours = TerrainPoints(np.vstack(vertices), np.array(lines))
-    terrain, _, flat = grid_of_points(contours, 0.5, "", "orthometric")
+    contours = np.vstack(vertices), np.array(lines)
+    terrain, _, flat = grid_of_points(*contours, 0.5, "", "orthometric")
     x, y = centers(terrain)
     distance = np.hypot(x, y)
     ring = (distance > 11) & (distance < 39)
@@ -92,7 +92,7 @@ def test_contours_are_followed() -> None:
 
 def test_points_at_one_place_give_their_mean() -> None:
     xyz = np.array([[0.0, 0, 1], [10, 0, 1], [10, 10, 1], [0, 10, 1], [5, 5, 1], [5, 5, 3]])
-    terrain = grid_of_points(loose(xyz), 1.0, "", "local")[0]
+    terrain = grid_of_points(*loose(xyz), 1.0, "", "local")[0]
     assert np.nanmax(terrain.heights) <= 2
     assert terrain.at(np.array([5.0]), np.array([5.0]))[0] == pytest.approx(2, abs=0.25)
 
@@ -101,12 +101,12 @@ def test_complaints() -> None:
     line = np.column_stack([np.arange(5.0), np.arange(5.0), np.zeros(5)])
     for points in (line, line[:2]):
         with pytest.raises(IllPosedError):
-            grid_of_points(loose(points), 1.0, "", "local")
+            grid_of_points(*loose(points), 1.0, "", "local")
     square = np.array([[0.0, 0, 0], [1e6, 0, 0], [1e6, 1e6, 0]])
     with pytest.raises(ConfigurationError, match="larger cells"):
-        grid_of_points(loose(square), 1.0, "", "local")
+        grid_of_points(*loose(square), 1.0, "", "local")
     with pytest.raises(ConfigurationError, match="positive"):
-        grid_of_points(loose(square), 0.0, "", "local")
+        grid_of_points(*loose(square), 0.0, "", "local")
 
 
 def test_adjusted_points_make_a_terrain_without_the_check_points(tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_adjusted_points_make_a_terrain_without_the_check_points(tmp_path: Path)
         "d,tie,0,1,,,,,2\n",
         encoding="utf-8",
     )
-    assert read_terrain_points(path).xyz.tolist() == [[0, 0, 5], [1, 0, 6]]
+    assert read_terrain_points(path)[0].tolist() == [[0, 0, 5], [1, 0, 6]]
 
 
 def test_a_written_model_reads_the_same_in_pieces(tmp_path: Path) -> None:

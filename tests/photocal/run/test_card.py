@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from acquire.simulate.world.configuration import FLIGHTS, read_configuration
-from acquire.simulate.world.site import simulate_flight
 from tests.photocal.conftest import Answer
+from tests.simulated import PLANS, simulate
 
 
 @pytest.mark.parametrize(("fx", "readout_s"), [("942.9", 0.0), ("942.4", 0.02)])
@@ -18,12 +17,11 @@ def test_scale_and_readout_are_told_apart(
     fx: str, readout_s: float, photocal: Callable[..., Answer], tmp_path: Path
 ) -> None:
     """A y scale is no readout; what vibrates within one takes neither c nor the sigmas along."""
-    plan = (FLIGHTS / "drone.toml").read_text(encoding="utf-8")
+    plan = (PLANS / "drone.toml").read_text(encoding="utf-8")
     plan = plan.replace("fx = 942.9\n", f"fx = {fx}\nreadout_s = {readout_s}\n")
     assert f"readout_s = {readout_s}" in plan
     (tmp_path / "flight.toml").write_text(plan, encoding="utf-8")
-    simulate_flight(read_configuration(tmp_path / "flight.toml"), tmp_path / "card", lambda _: None)
-    site = tmp_path / "card" / "site"
+    site = simulate(tmp_path / "card", tmp_path / "flight.toml")
     assert photocal("new", site, "--height", "ellipsoidal").code == 0
     said = photocal("run", site / "project.toml", "--until", "calibration")
     assert said.code == 0, said.err

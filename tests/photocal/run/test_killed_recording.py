@@ -16,13 +16,11 @@ from typer.testing import CliRunner
 
 from acquire.simulate.hardware import awaited, on_ports, record_settings
 from acquire.simulate.playback import FlightClock, PlayedFlight, read_flight
-from acquire.simulate.world.configuration import read_configuration
-from acquire.simulate.world.site import simulate_flight
 from acquire.simulate.world.streams import RecordedWire
 from photocal.cli import app
 from tests.acquire.live import Recorder, await_frame, frames_in, free_port, until
 from tests.conftest import needs_engine
-from tests.simulated import PLANS
+from tests.simulated import PLANS, simulate
 
 pytestmark = pytest.mark.slow
 
@@ -93,10 +91,7 @@ class Outcome:
 def outcome(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
     needs_engine()
     folder = tmp_path_factory.mktemp("killed") / "flight"
-    given = read_configuration(
-        PLANS / "small.toml", {"level": "observations", "plan": PLAN, "observing": {"ties": 70}}
-    )
-    simulate_flight(given, folder, lambda _: None)
+    simulate(folder, PLANS / "small.toml", level="observations", plan=PLAN, observing={"ties": 70})
     truth = json.loads((folder / "truth" / "truth.json").read_text())
     exposures = table(folder / "truth" / "exposures.csv")
     event_s = (np.array([int(row["event_gps_ns"]) for row in exposures]) - truth["start_gps_ns"]) / 1e9

@@ -49,7 +49,7 @@ def test_a_right_tag_is_not_spoken_of() -> None:
 
 
 @pytest.mark.parametrize(("cy_sign", "p"), [(1, 0.0), (-1, 0.004)])
-def test_a_whole_run_of_32_pictures_is_usable(tmp_path: Path, cy_sign: int, p: float) -> None:
+def test_a_whole_run_of_33_pictures_is_usable(tmp_path: Path, cy_sign: int, p: float) -> None:
     path = tagged.write_project(tmp_path, tagged.fly(tagged.tag(1.009, cy_sign, p), 5))
     said = CliRunner().invoke(app, ["run", str(path), "--json"])
     assert said.exit_code == 0, said.output

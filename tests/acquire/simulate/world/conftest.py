@@ -8,21 +8,9 @@ from typing import Any
 
 import pytest
 
-from acquire.simulate.world.configuration import FlightConfiguration, read_configuration
-from acquire.simulate.world.site import simulate_flight
-from acquire.simulate.world.world import World, make_world
+from acquire.simulate.world.world import World
 from tests.conftest import Once
-
-DEMO = Path(__file__).resolve().parents[4] / "acquire" / "simulate" / "flights"
-
-
-def configured(name: str, **instead: Any) -> FlightConfiguration:
-    """Read a demonstration with other keys at the top level."""
-    return read_configuration(DEMO / f"{name}.toml", instead)
-
-
-def nothing(_share: float) -> None:
-    """Show no progress."""
+from tests.simulated import PLANS, simulate, world_of
 
 
 @dataclass(frozen=True)
@@ -35,18 +23,17 @@ class Flight:
 
 def flown(folder: Path, **instead: Any) -> Flight:
     """Simulate the small flight into a folder."""
-    given = configured("small", **instead)
-    simulate_flight(given, folder, nothing)
-    return Flight(folder, make_world(given))
+    simulate(folder, PLANS / "small.toml", **instead)
+    return Flight(folder, world_of(PLANS / "small.toml", **instead))
 
 
 @pytest.fixture(scope="session")
 def world() -> World:
     """The demonstration's world."""
-    return make_world(configured("survey"))
+    return world_of(PLANS / "survey.toml")
 
 
 @pytest.fixture(scope="session")
 def small(once: Once) -> Flight:
     """The small flight with pictures."""
-    return Flight(once("small", flown), make_world(configured("small")))
+    return Flight(once("small", flown), world_of(PLANS / "small.toml"))

@@ -23,7 +23,8 @@ from acquire.simulate.playback import FlightClock, FlownAutopilot, PlayedFlight,
 from acquire.simulate.world.streams import RecordedWire
 from photocal.base.errors import InputMalformedError, InputNotFoundError
 from tests.acquire.live import frames_in, until
-from tests.acquire.simulate.world.conftest import DEMO, Flight, flown
+from tests.acquire.simulate.world.conftest import Flight, flown
+from tests.simulated import PLANS
 
 SPEED = 20.0
 
@@ -187,7 +188,7 @@ def test_damaged_frames_stay_as_they_are(small: Flight) -> None:
 
 
 def test_a_configuration_is_played_without_a_folder() -> None:
-    flight = read_flight(DEMO / "small.toml")
+    flight = read_flight(PLANS / "small.toml")
     assert set(flight.lines) == {"vehicle", "rover", "base"}
     assert all(isinstance(line, RecordedWire) and line.end_s > 50 for line in flight.lines.values())
 

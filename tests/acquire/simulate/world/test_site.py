@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from acquire.simulate.world.configuration import SimulatedFault
+from acquire.simulate.world.configuration import SimulatedFault, read_configuration
 from photocal.base.errors import ConfigurationError
-from tests.acquire.simulate.world.conftest import DEMO, Flight, configured, flown
+from tests.acquire.simulate.world.conftest import Flight, flown
+from tests.simulated import PLANS, world_of
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -55,12 +56,15 @@ def test_the_project_file_is_one(small: Flight) -> None:
 
 
 def test_the_survey_has_the_stated_sigmas() -> None:
-    from acquire.simulate.world.world import make_world
+    world = world_of(PLANS / "survey.toml", targets={"control": 300, "check": 0})
+    error = world.targets.surveyed_m - world.targets.centre_m
+    assert error.std(axis=0) == pytest.approx(world.configuration.targets.sigma_m, rel=0.15)
 
-    given = configured("survey", targets={"control": 300, "check": 0})
-    targets = make_world(given).targets
-    error = targets.surveyed_m - targets.centre_m
-    assert error.std(axis=0) == pytest.approx(given.targets.sigma_m, rel=0.15)
+
+@pytest.mark.parametrize("check", [0, 2])
+def test_a_site_without_control_has_check_points_alone(check: int) -> None:
+    targets = world_of(PLANS / "small.toml", targets={"control": 0, "check": check}).targets
+    assert targets.roles == ("check",) * check
 
 
 def test_camera_terms_of_the_truth_project_as_opencv(small: Flight) -> None:
@@ -86,7 +90,7 @@ def test_camera_terms_of_the_truth_project_as_opencv(small: Flight) -> None:
 
 def test_the_block_agrees_with_its_truth(tmp_path: Path) -> None:
     """Positions, attitudes and rays of a block without noise satisfy the equations of the documents."""
-    quiet = configured("small", level="block")
+    quiet = read_configuration(PLANS / "small.toml")
     still = {"camera_to_antenna_m": [0.08, 0.03, -0.24], "attitude_sigma_deg": [1e-9] * 3}
     flight = flown(
         tmp_path,
@@ -209,9 +213,7 @@ def test_a_fault_changes_what_it_is_about_and_nothing_else(
 
 
 def test_a_zoom_changes_the_camera_of_later_passes() -> None:
-    from acquire.simulate.world.world import make_world
-
-    exposures = make_world(configured("survey", faults=["zoom"])).exposures
+    exposures = world_of(PLANS / "survey.toml", faults=["zoom"]).exposures
     first, last = exposures.cameras[0], exposures.cameras[-1]
     assert last.fx == pytest.approx(1.004 * first.fx)
     assert exposures.covers[0] == 0
@@ -221,7 +223,6 @@ def test_a_zoom_changes_the_camera_of_later_passes() -> None:
 def test_faults_have_sizes() -> None:
     """Each figure is found again in what the surveyor noted, or in the truth."""
     from acquire.simulate.world.block_folder import take_notes, telemetry_gap
-    from acquire.simulate.world.world import make_world
 
     sizes = {
         "antenna_height_m": 0.3, "base_m": [1.0, 2.0, 3.0], "late_s": 0.017, "zoom": 1.01,
@@ -229,7 +230,7 @@ def test_faults_have_sizes() -> None:
     }  # fmt: skip
     every = [fault.value for fault in SimulatedFault]
     right, wrong = (
-        make_world(configured("survey", faults=faults, fault_sizes=sizes)) for faults in ([], every)
+        world_of(PLANS / "survey.toml", faults=faults, fault_sizes=sizes) for faults in ([], every)
     )
     coordinates = right.targets.surveyed_m
     noted, mistaken = take_notes(right, coordinates), take_notes(wrong, coordinates)
@@ -258,9 +259,7 @@ def test_the_surveyor_notes_the_weather_at_the_base(tmp_path: Path) -> None:
 
 
 def test_one_field_for_several_flights() -> None:
-    from acquire.simulate.world.world import make_world
-
-    one, two = (make_world(configured("small", seed=seed, field_seed=7)) for seed in (1, 2))
+    one, two = (world_of(PLANS / "small.toml", seed=seed, field_seed=7) for seed in (1, 2))
     assert np.array_equal(one.terrain.coefficients, two.terrain.coefficients)
     assert np.array_equal(one.targets.surveyed_m, two.targets.surveyed_m)
     assert np.array_equal(one.rig.boresight, two.rig.boresight)
@@ -283,7 +282,7 @@ def test_one_field_for_several_flights() -> None:
     ],
 )
 def test_what_cannot_be_flown(section: str, keys: dict[str, Any], words: str, tmp_path: Path) -> None:
-    with (DEMO / "small.toml").open("rb") as text:
+    with (PLANS / "small.toml").open("rb") as text:
         content = tomllib.load(text)[section] | keys
     with pytest.raises(ConfigurationError, match=words):
         flown(tmp_path, **{section: content})
@@ -296,7 +295,7 @@ def test_the_help_names_every_fault() -> None:
 
 
 def test_the_command(acquire: Acquire, tmp_path: Path) -> None:
-    config = DEMO / "small.toml"
+    config = PLANS / "small.toml"
     done = acquire(
         "simulate", "flight", config, "-o", tmp_path / "f", "--observations-only",
         "--fault", "zoom", "--seed", 9, "--json",

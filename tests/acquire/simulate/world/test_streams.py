@@ -17,8 +17,9 @@ from pymavlink import mavutil
 
 from acquire.simulate.world import telemetry
 from acquire.simulate.world.streams import carry, make_streams
-from acquire.simulate.world.world import World, make_world
-from tests.acquire.simulate.world.conftest import Flight, configured
+from acquire.simulate.world.world import World
+from tests.acquire.simulate.world.conftest import Flight
+from tests.simulated import PLANS, world_of
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -41,7 +42,7 @@ def test_pymavlink_reads_every_frame(small: Flight) -> None:
 
 def test_pyubx2_and_pyrtcm_read_every_frame_of_a_survey(small: Flight) -> None:
     own = small.world.configuration.gnss.model_dump(exclude_none=True)
-    streams = make_streams(make_world(configured("small", gnss={**own, "base_protocol": "rtcm3"})))
+    streams = make_streams(world_of(PLANS / "small.toml", gnss={**own, "base_protocol": "rtcm3"}))
     for wire, peer in (
         (streams["rover"], pyubx2.UBXReader),
         (streams["base"], pyrtcm.RTCMReader),
@@ -88,7 +89,7 @@ def test_a_flight_is_imported_whole(small: Flight, acquire: Acquire, tmp_path: P
 
 
 def test_streams_are_the_same_each_time(small: Flight) -> None:
-    again = make_streams(make_world(configured("small")))
+    again = make_streams(world_of(PLANS / "small.toml"))
     assert (small.folder / "site/rover.ubx").read_bytes() == again["rover"].data
     assert (small.folder / "site/base.ubx").read_bytes() == again["base"].data
 
@@ -113,8 +114,7 @@ def test_losses_and_damage_on_the_wires() -> None:
 def test_a_lossy_link_is_imported_with_its_damage(acquire: Acquire, tmp_path: Path) -> None:
     from acquire.simulate.world.streams import telemetry_log
 
-    given = configured("small", wires={"vehicle_loss": 0.02, "vehicle_damage": 0.02})
-    world = make_world(given)
+    world = world_of(PLANS / "small.toml", wires={"vehicle_loss": 0.02, "vehicle_damage": 0.02})
     streams = make_streams(world)
     (tmp_path / "vehicle.tlog").write_bytes(telemetry_log(world, streams["vehicle"]))
     done = acquire("import", tmp_path / "vehicle.tlog", "-o", tmp_path / "log.mcap", "--json")
@@ -130,5 +130,5 @@ def attitude_gap(world: World) -> float:
 
 
 def test_a_telemetry_gap_lasts_half_a_minute() -> None:
-    assert attitude_gap(make_world(configured("small"))) < 0.5
-    assert attitude_gap(make_world(configured("small", faults=["telemetry_gap"]))) > 29
+    assert attitude_gap(world_of(PLANS / "small.toml")) < 0.5
+    assert attitude_gap(world_of(PLANS / "small.toml", faults=["telemetry_gap"])) > 29

@@ -10,16 +10,34 @@ import numpy as np
 import pytest
 
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.network import ExteriorOrientations, Network, Rays, Relations
+from photocal.adjustment.network import Network, Rays, Relations
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.start.values import start_values
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.exchange.dbat import read_dbat
 from photocal.exchange.jaicov import read_jaicov
+from photocal.geometry.camera import camera
+from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import matrix_from_angles
 from tests.photocal import blocks, networks
+from tests.simulated import PLANS, block_of, true_poses, world_of
 
+SIZE, C = (3000, 2000), 2222.0
+LENS = {"nominal_mm": 20.0, "pitch_mm": 0.009, "fx": C, "fy": C, "cx": 1499.5, "cy": 999.5}
+STRIPS = {"height_m": 100, "course_deg": 90, "speed_m_s": 8, "forward_overlap": 0.72, "side_overlap": 0.77}
+FLIGHT = {
+    "camera": {"size_px": SIZE, **LENS},
+    "plan": {
+        "area_m": [[-62, -42], [62, -42], [62, 42], [-62, 42]],
+        "take_off_m": [-80, -40],
+        "on_ground_s": 8,
+        "pass": [STRIPS],
+    },
+    "terrain": {"relief_m": 4.0, "longest_m": 100.0},
+    "targets": {"control": 0, "check": 0},
+    "observing": {"ties": 500, "sigma_px": 0.33},
+}
 Flags = np.ndarray
 Start = tuple[Flags, Flags, Flags]
 
@@ -101,31 +119,16 @@ def test_jaicov(shared: Path) -> None:
     assert solved(network, start).chi_squared == pytest.approx(12374.16, abs=0.02)
 
 
-def flight(rng: np.random.Generator, gross: float = 0.0) -> tuple[Network, np.ndarray]:
-    """Three strips over hilly ground, 18 nadir images; also the true exposures."""
-    own = networks.lens(K1=0.0, K2=0.0, K3=0.0, P1=0.0, P2=0.0, B1=0.0, B2=0.0, x0=0.0, y0=0.0)
-    x, y = np.meshgrid(np.arange(6) * 25.0, np.arange(3) * 30.0)
-    n = x.size
-    centre = np.column_stack([x.ravel(), y.ravel(), np.full(n, 100.0)]) + rng.normal(0, 1.0, (n, 3))
-    kappa = np.where(np.arange(n) // 6 == 1, np.pi, 0.0) + np.pi / 2
-    angles = np.column_stack([rng.normal(0, 0.05, (n, 2)), kappa + rng.normal(0, 0.05, n)])
-    ground = rng.uniform([-40, -40], [165, 100], (500, 2))
-    height = 6 * np.sin(ground[:, 0] / 30) + 4 * np.cos(ground[:, 1] / 20)
-    xyz = np.column_stack([ground, height])
-    q = np.einsum("nij,npj->npi", matrix_from_angles(angles), xyz - centre[:, None])
-    plane = -20.0 * q[..., :2] / q[..., 2:]
-    inside = (np.abs(plane) < [13.5, 9.0]).all(axis=2)
-    inside &= inside.sum(axis=0) >= 3
-    point, image = np.nonzero(inside.T)
-    used, place = np.unique(point, return_inverse=True)
-    measured = plane[image, point] + rng.normal(0, 0.003, (len(point), 2))
-    wrong = rng.random(len(point)) < gross
-    measured[wrong] += rng.uniform(-3, 3, (int(wrong.sum()), 2))
-    exposures = np.hstack([angles, centre])
-    scene = networks.Scene((own,), np.zeros(n, np.int64), exposures, xyz[used])
-    base = networks.observe(scene, None, point_sigma=np.inf)
-    rays = Rays(image, place.astype(np.int64), measured, np.full(measured.shape, 0.003))
-    return replace(base, rays=rays), exposures
+def flight(seed: int, gross: float = 0.0) -> tuple[Network, np.ndarray]:
+    """Three strips of 18 images over hilly ground, with a lens of 20 mm; also the true exposures."""
+    world = world_of(PLANS / "small.toml", seed=seed, **FLIGHT)
+    rng = np.random.default_rng(seed)
+    own = camera("main", "brown-ideal", "px", SIZE, (1.0, 1.0), {"c": 1.01 * C}, estimate=networks.COMMON)
+    block = block_of(world, own, np.full(3, 0.05), rng)
+    wrong = rng.random(len(block.observations.image)) < gross
+    block.observations.values[wrong] += rng.uniform(-300, 300, (int(wrong.sum()), 2))
+    made = assemble(block)
+    return made.network, local_poses(made.frame, true_poses(world))
 
 
 def turn(a: np.ndarray, b: np.ndarray) -> float:
@@ -137,10 +140,10 @@ def turn(a: np.ndarray, b: np.ndarray) -> float:
 @pytest.mark.parametrize("gross", [0.0, 0.05])
 def test_flight_with_three_control_points(gross: float) -> None:
     """No image sees four of them: relative orientation, then a similarity. 5 % gross errors do not harm."""
-    network, truth = flight(np.random.default_rng(21), gross)
+    network, truth = flight(21, gross)
     xyz = network.points.values
     known = np.zeros(len(xyz), bool)
-    for corner in ((0, 0), (125, 0), (60, 60)):
+    for corner in ((-62, -30), (62, -30), (0, 30)):
         known[np.argmin(np.sum((xyz[:, :2] - corner) ** 2, axis=1))] = True
     start = from_nothing(network, known)
     assert start[2].tolist() == []
@@ -151,14 +154,7 @@ def test_flight_with_three_control_points(gross: float) -> None:
 
 def test_flight_with_positions_only() -> None:
     """Positions of the projection centres are control enough; they stay as they were observed."""
-    network, truth = flight(np.random.default_rng(22))
-    observed = truth[:, 3:] + np.random.default_rng(1).normal(0, 0.05, (18, 3))
-    network = replace(
-        network,
-        exposures=ExteriorOrientations(
-            network.exposures.camera, np.hstack([np.zeros((18, 3)), observed]), network.exposures.sigma
-        ),
-    )
+    network, truth = flight(22)
     start = from_nothing(network, np.zeros(len(network.point_names), bool), centres=True)
     assert start[2].tolist() == []
     assert turn(start[0][:, :3], truth[:, :3]) < 0.01
@@ -166,8 +162,8 @@ def test_flight_with_positions_only() -> None:
 
 
 def test_known_poses_are_kept() -> None:
-    network, truth = flight(np.random.default_rng(23))
-    exposures = np.full((18, 6), np.nan)
+    network, truth = flight(23)
+    exposures = np.full(truth.shape, np.nan)
     exposures[:2] = truth[:2]
     start = start_values(
         network.cameras,
@@ -211,7 +207,7 @@ def test_what_cannot_be_reached_is_named() -> None:
 
 
 def test_the_same_every_time() -> None:
-    network, _ = flight(np.random.default_rng(21), 0.05)
+    network, _ = flight(21, 0.05)
     known = np.arange(len(network.point_names)) % 20 == 0
     first, second = (from_nothing(network, known) for _ in range(2))
     assert (first[0] == second[0]).all()

@@ -14,7 +14,7 @@ from PIL import Image
 
 from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.measurement.features import sweep, touch
-from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles, coarsest_level
+from photocal.measurement.marking.tiles import TILE_PX, Tiles, coarsest_level
 
 Floats = NDArray[np.float64]
 # No multiple of 2 or 8, and several tiles wide and high.
@@ -28,10 +28,7 @@ def pixels(tile: bytes) -> Floats:
 def whole(tiles: Tiles, path: Path, level: int) -> Floats:
     """All tiles of a level put together."""
     across, down = (math.ceil(n / 2**level / TILE_PX) for n in (WIDTH, HEIGHT))
-    rows = [
-        np.hstack([pixels(tiles.tile(path, TileAddress(level, c, r))) for c in range(across)])
-        for r in range(down)
-    ]
+    rows = [np.hstack([pixels(tiles.tile(path, level, c, r)) for c in range(across)]) for r in range(down)]
     return np.vstack(rows)
 
 
@@ -87,11 +84,11 @@ def test_tiles_are_kept_by_content(tmp_path: Path) -> None:
     save(path, "grey")
     twin.write_bytes(path.read_bytes())
     cache = tmp_path / "cache"
-    first = Tiles(cache).tile(path, TileAddress(1, 0, 0))
-    assert Tiles(cache).tile(twin, TileAddress(1, 0, 0)) == first
+    first = Tiles(cache).tile(path, 1, 0, 0)
+    assert Tiles(cache).tile(twin, 1, 0, 0) == first
     assert len(list(cache.rglob("*.jpg"))) == 1
     Image.fromarray(255 - smooth()).save(path)
-    assert np.abs(pixels(Tiles(cache).tile(path, TileAddress(1, 0, 0))) - pixels(first)).mean() > 20
+    assert np.abs(pixels(Tiles(cache).tile(path, 1, 0, 0)) - pixels(first)).mean() > 20
 
 
 @pytest.mark.parametrize("address", [(0, 3, 0), (0, 0, 2), (3, 0, 0), (0, -1, 0), (2, 1, 0), (40, 0, 0)])
@@ -99,7 +96,7 @@ def test_tiles_that_do_not_exist_are_refused(tmp_path: Path, address: tuple[int,
     path = tmp_path / "a.png"
     save(path, "grey")
     with pytest.raises(InputNotFoundError, match=r"a\.png: has no such tile"):
-        Tiles(tmp_path / "cache").tile(path, TileAddress(*address))
+        Tiles(tmp_path / "cache").tile(path, *address)
 
 
 def test_bad_pictures_are_named(tmp_path: Path) -> None:
@@ -108,10 +105,10 @@ def test_bad_pictures_are_named(tmp_path: Path) -> None:
     save(path, "grey")
     path.write_bytes(path.read_bytes()[:9000])
     with pytest.raises(InputMalformedError, match=r"a\.jpg"):
-        tiles.tile(path, TileAddress(0, 0, 0))
+        tiles.tile(path, 0, 0, 0)
     path.unlink()
     with pytest.raises(InputNotFoundError, match=r"a\.jpg"):
-        tiles.tile(path, TileAddress(0, 0, 0))
+        tiles.tile(path, 0, 0, 0)
     assert not list((tmp_path / "cache").rglob("*.jpg"))
 
 
@@ -142,11 +139,11 @@ def test_tiles_stay_within_their_bounds(tmp_path: Path) -> None:
     other = cache / "ab" / "features.npz"
     other.parent.mkdir(parents=True)
     other.write_bytes(bytes(100_000))
-    size = len(Tiles(tmp_path / "free").tile(path, TileAddress(0, 0, 0)))
+    size = len(Tiles(tmp_path / "free").tile(path, 0, 0, 0))
     tiles = Tiles(cache, most_bytes=3 * size)
     for _ in range(2):
         for column, row in ((0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (2, 1)):
-            assert len(pixels(tiles.tile(path, TileAddress(0, column, row))))
+            assert len(pixels(tiles.tile(path, 0, column, row)))
             tiles.tidy()
             assert sum(one.stat().st_size for one in cache.rglob("*.jpg")) <= 3 * size
     assert 0 < len(list(cache.rglob("*.jpg"))) < 6
