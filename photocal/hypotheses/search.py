@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from photocal.adjustment.adjusted import AdjustedNetwork, fit, with_measurements, without_member
 from photocal.adjustment.condensed import Condensed
@@ -264,7 +265,9 @@ def _contradicted(given: AdjustedNetwork) -> Contradiction | WrongSigmas | None:
     w = given.solution.standardised(rays.sigma)[surveyed]
     of_rays = float(np.nanmean(w**2)) if surveyed.any() else 1.0
     usual = max(given.solution.variance_factor if not surveyed.all() else 1.0, 1.0)
-    far = np.nanmax(np.abs(w), initial=0.0) > policy.times_999 * np.sqrt(usual)
+    # Of thousands of rays the largest residual is beyond any limit of a single one.
+    limit = -special.ndtri(policy.significance / 2.0 / max(np.isfinite(w).sum(), 1))
+    far = np.nanmax(np.abs(w), initial=0.0) > limit * np.sqrt(usual)
     if not far and (control is None or control.p_value >= policy.significance or control.factor < 1.0):
         return None
     if of_rays < 1.0 and control is None:
