@@ -1,10 +1,10 @@
 """Laser distances of images to the surface of the object points.
 
-The laser of an image measures along the axis of its camera d = (1 + k) s + o, with s the distance to the plane
-through three object points about its target, and offset o and scale k what the errors of all distances have
-in common. With q_j = M (P_j - X0) the points in camera axes and u the direction of the axis, the plane n q = 1
-gives s = 1 / (n u). Its target divides the points by shares l_j, u s = l_1 q_1 + l_2 q_2 + l_3 q_3, so that
-with g = s n a step of the points changes it by the sum of l_j g dq_j (g u = 1).
+The laser of an image measures along the axis of its camera d = (1 + k) s + o, with s the distance to the
+plane through three object points about its target, and offset o and scale k what the errors of all distances
+have in common. With q_j = M (P_j - X0) the points in camera axes and u the direction of the axis, the plane
+n q = 1 gives s = 1 / (n u). The target has shares l_j in the points, u s = l_1 q_1 + l_2 q_2 + l_3 q_3, so
+that with g = s n steps of the points change s by the sum of l_j g dq_j (g u = 1).
 """
 
 from dataclasses import dataclass, replace

@@ -28,8 +28,8 @@ class Layout:
     own_columns (images, n): columns of each image's own parameters, see `own_parameters`; -1 for those that
         it does not have.
     camera_columns: for each camera the positions of its estimated parameters and their columns.
-    common_columns (k,): column of each common value of the mounting, of the lasers, then of the heads of rigs;
-        -1 for those that are no unknowns.
+    common_columns (k,): column of each common value of the mounting, of the lasers, then of the heads of
+        rigs; -1 for those that are no unknowns.
     kept_points (m,): points that are not eliminated because observations relate them to others.
     point_columns (m, 3): their columns.
     envelope, strips: structure of the matrix, and of the same with a panel for each image, as pieces of

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from photocal.adjustment.mounting import NADIR, Attitudes, Mounting, Positions
 from photocal.adjustment.lasers import LaserDistances
+from photocal.adjustment.mounting import NADIR, Attitudes, Mounting, Positions
 from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, Relations, point_weights
 from photocal.geometry.camera import PARAMETERS, Affinity, AffinityForm, Camera, Model, camera
 from photocal.geometry.distortion import projected

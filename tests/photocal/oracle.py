@@ -325,7 +325,6 @@ def _lasers(network: Network, values: dict[str, Numbers], matrices: Numbers) -> 
     return out
 
 
-
 def _relations(network: Network, values: dict[str, Numbers]) -> list[Any]:
     out = []
     r = network.relations

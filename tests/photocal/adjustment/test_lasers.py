@@ -71,9 +71,9 @@ def _residual(network, problem, state, column, size):  # type: ignore[no-untyped
     return other_equations(problem, replace(moved, points=points))["laser"].residual
 
 
-@pytest.mark.parametrize("common_sigma", [(0.02, 0.001), (0.0, 0.0), (INF, 0.0), (0.0, 0.001)])
+@pytest.mark.parametrize("common_sigma", [(0.02, 0.001), (INF, 0.0)])
 def test_as_a_dense_adjustment(common_sigma: tuple[float, float]) -> None:
-    scene = networks.convergent(images=6, points=18)
+    scene = networks.convergent(images=5, points=12)
     network = networks.ranged(
         networks.observe(scene, np.random.default_rng(4)), scene, np.random.default_rng(5)
     )
