@@ -101,7 +101,9 @@ def measure_flown(
     measured = flown_block(shots, strip, ground_through(shots, frame.to_local(points)), moving, exposure)
     figures = figures_of(measured, exposure_ms=1e3 * exposure, iso=iso)
     lasers = np.array([f.laser_m if (f := facts.get(name)) else np.nan for name in shots.names])
-    if np.isfinite(lasers).any():
+    # As observations they are no check of the surface that they made.
+    checks = files.terrain is not None or not len(model.lasers.image)
+    if checks and np.isfinite(lasers).any():
         shot = LaserShots(shots.station, -shots.rotation[:, 2], lasers)
         near = frame.to_local(points)
         if files.terrain is not None:
