@@ -26,10 +26,11 @@ ESTIMATE = ("c", "x0", "y0", "K1")
 
 @dataclass(frozen=True)
 class Canopy:
-    """A flight and its truth: tie points (n, 3), what the pictures say, and which shots fell through a gap."""
+    """A flight and its truth: places of points and images, what pictures say, which shots fell into gaps."""
 
     block: Block
     points: Floats
+    centre: Floats
     facts: tuple[ImageFacts, ...]
     gaps: frozenset[str]
 
@@ -54,7 +55,11 @@ def fly(
     line, along = np.divmod(np.arange(count), per_line)
     forth = np.where(line % 2 == 0, 1.0, -1.0)
     centre = np.column_stack(
-        [(line - (lines - 1) / 2) * 12.0, forth * (along - (per_line - 1) / 2) * 7.0, np.full(count, HEIGHT_M)]
+        [
+            (line - (lines - 1) / 2) * 12.0,
+            forth * (along - (per_line - 1) / 2) * 7.0,
+            np.full(count, HEIGHT_M),
+        ]
     )
     centre += rng.normal(0, [0.5, 0.5, 0.4], centre.shape)
     angles = rng.normal(0, np.radians(tilt_deg), (count, 3))
@@ -100,7 +105,7 @@ def fly(
         ImageFacts(name, SIZE, laser_m=round(far, 3))
         for name, far in zip(names, (distance + bias_m).tolist(), strict=True)
     )
-    return Canopy(block, points[good], facts, frozenset(names[i] for i in np.flatnonzero(fell)))
+    return Canopy(block, points[good], centre, facts, frozenset(names[i] for i in np.flatnonzero(fell)))
 
 
 def _measured(
