@@ -76,7 +76,7 @@ def measure_flown(
     timed = bool(np.isfinite(time).all())
     order = np.argsort(time, kind="stable") if timed else np.arange(len(shots))
     shots, seconds = shots.only(order), time[order] if timed else np.arange(len(shots), dtype=np.float64)
-    scaled = model.datum != "free" or len(model.relations.kind) > 0
+    scaled = model.datum != "free" or len(model.relations.kind) > 0 or len(model.lasers.image) > 0
     axis = float(np.median(shots.rotation[:, 2, 2])) if len(shots) else -1.0
     nadir = len(shots.cameras) == 1 and axis >= math.cos(math.radians(NADIR_DEG))
     if only_nadir and not (nadir and scaled):

