@@ -97,7 +97,7 @@ def with_lasers(block: Block, facts: Sequence[ImageFacts]) -> tuple[Block, Findi
         "spare": float(len(hit) - far.sum() - len(kept)),
         "images": tuple(block.images.names[i] for i in image[far]),
     }  # fmt: skip
-    clauses = [f"laser-{what}" for what in ("left-out", "lonely", "spare") if figures[_COUNTS[what]]]
+    clauses = [clause for clause, counted in _CLAUSES.items() if figures[counted]]
     return replace(block, lasers=lasers), Finding(CODE, "note", figures=figures, clauses=tuple(clauses))
 
 
@@ -110,7 +110,7 @@ def _enlarged(block: Block, scale: float) -> Block:
     return replace(block, images=replace(block.images, values=values), points=points)
 
 
-_COUNTS = {"left-out": "elsewhere", "lonely": "lonely", "spare": "spare"}
+_CLAUSES = {"laser-left-out": "elsewhere", "laser-lonely": "lonely", "laser-spare": "spare"}
 
 
 def _too_few(shots: int) -> Finding:
