@@ -15,6 +15,7 @@ from photocal.geometry.camera import camera
 from photocal.measurement.image_facts import ImageFacts
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 # A Zenmuse H20T: 640 x 512 pixels of 12 micrometres, 13.5 mm.
 SIZE, C, X0, Y0, K1 = (640, 512), 1125.0, 4.0, -3.0, -8e-8
@@ -35,8 +36,9 @@ class Canopy:
     gaps: frozenset[str]
 
 
-def crowns(x: Floats, y: Floats, tall: float) -> Floats:
+def crowns(places: Floats, tall: float) -> Floats:
     """Crowns of some 6 m, up to 3 m high, on a slope, or so much less of both; 18 m above the ground."""
+    x, y = places.T
     return np.asarray(18.0 + tall * (0.05 * x + 1.5 * np.sin(x / 3.1 + np.sin(y / 7.0)) * np.cos(y / 3.7)))
 
 
@@ -67,15 +69,15 @@ def fly(
     matrix = np.array([_rotation(*one) for one in angles])
     reach = np.abs(centre[:, :2]).max(axis=0) + 16.0
     ground = rng.uniform(-reach, reach, (ties, 2))
-    points = np.column_stack([ground, crowns(*ground.T, tall) + rng.normal(0, tall * LEAVES_M, ties)])
-    image, point, pixels = list[Floats](), list[Floats](), list[Floats]()
+    points = np.column_stack([ground, crowns(ground, tall) + rng.normal(0, tall * LEAVES_M, ties)])
+    image, point, pixels = list[Integers](), list[Integers](), list[Floats]()
     for i in range(count):
         q = (points - centre[i]) @ matrix[i].T
         p = -C * q[:, :2] / q[:, 2:]
         plane = [X0, Y0] + p * (1 + K1 * np.sum(p**2, axis=1))[:, None]
         pixel = [(SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2] + plane * [1.0, -1.0]
         inside = np.flatnonzero((pixel > 3).all(axis=1) & (pixel < np.array(SIZE) - 4).all(axis=1))
-        image.append(np.full(len(inside), i))
+        image.append(np.full(len(inside), i, dtype=np.int64))
         point.append(inside)
         pixels.append(pixel[inside] + rng.normal(0, NOISE_PX, (len(inside), 2)))
     seen = np.concatenate(point)
@@ -115,7 +117,7 @@ def _measured(
     far = np.full(len(centre), 70.0)
     for _ in range(40):
         hit = centre + far[:, None] * axis
-        far = far + 0.7 * (crowns(*hit[:, :2].T, tall) - hit[:, 2]) / axis[:, 2]
+        far = far + 0.7 * (crowns(hit[:, :2], tall) - hit[:, 2]) / axis[:, 2]
     fell = rng.random(len(centre)) < gaps
     far = far + rng.normal(0, tall * LEAVES_M, len(far)) + fell * rng.uniform(4, 15, len(far))
     scale, offset = rng.normal(0, SCALE), rng.normal(0, OFFSET_M)

@@ -6,13 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.adjusted import fit, without_images
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.lasers import NO_LASERS, planes_ahead
-from photocal.adjustment.normal import other_equations, prepare
-from photocal.adjustment.state import moved_exposures, start_state
+from photocal.adjustment.network import Network
+from photocal.adjustment.normal import Problem, other_equations, prepare
+from photocal.adjustment.snooping import subset
+from photocal.adjustment.state import State, moved_exposures, start_state
 from photocal.adjustment.unknowns import unknowns
 from photocal.adjustment.variance_components import rays_together, with_factors
 from tests.photocal import networks
@@ -62,7 +65,9 @@ def test_derivatives_are_those_of_differences(held: bool) -> None:
     assert np.count_nonzero(dense.any(axis=0)) > 20
 
 
-def _residual(network, problem, state, column, size):  # type: ignore[no-untyped-def]
+def _residual(
+    network: Network, problem: Problem, state: State, column: int, size: float
+) -> NDArray[np.float64]:
     step = np.zeros(problem.layout.size)
     step[column] = size
     moved = moved_exposures(network, problem.layout, state, step)
@@ -130,3 +135,17 @@ def test_sigmas_of_both_groups_are_scaled() -> None:
     scaled = with_factors(network, rays_together(network), {"laser": 2.0, "laser-offset": 3.0})
     assert scaled.lasers.sigma == pytest.approx(2 * network.lasers.sigma)
     assert scaled.lasers.common_sigma == pytest.approx((0.06, 0.003))
+
+
+def test_a_corner_that_snooping_takes_away_takes_its_distances_along() -> None:
+    scene = networks.convergent(images=6, points=18)
+    network = networks.observe(scene, np.random.default_rng(14), point_sigma=INF)
+    network = networks.ranged(network, scene, np.random.default_rng(15))
+    lost = network.lasers.corners[0, 0]
+    part, _, points = subset(network, network.rays.point != lost)
+    kept = (network.lasers.corners != lost).all(axis=1)
+    assert lost not in points
+    assert 0 < kept.sum() < 6
+    assert np.array_equal(points[part.lasers.corners], network.lasers.corners[kept])
+    assert np.array_equal(part.lasers.image, network.lasers.image[kept])
+    assert part.lasers.common_sigma == network.lasers.common_sigma

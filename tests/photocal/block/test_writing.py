@@ -237,8 +237,9 @@ def some_lasers(draw: Draw, rng: np.random.Generator, images: int, points: int) 
         return NO_LASERS
     corners = np.array([rng.permutation(points)[:3] for _ in range(count)])
     value, sigma = rng.exponential(size=(2, count)) + 1e-3
+    image = np.asarray(rng.integers(0, images, count), dtype=np.int64)
     common = draw(st.sampled_from([0.0, 0.07, np.inf])), draw(st.sampled_from([0.0, 5e-4]))
-    return LaserDistances(rng.integers(0, images, count), corners, value, sigma, common)
+    return LaserDistances(image, corners, value, sigma, common)
 
 
 def some_heads(draw: Draw, rng: np.random.Generator, cameras: tuple[str, ...]) -> tuple[Head, ...]:

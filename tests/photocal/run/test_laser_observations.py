@@ -6,6 +6,7 @@ import csv
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ from tests.photocal.canopies import OFFSET_M, SCALE, C, Canopy, fly
 from tests.photocal.conftest import Answer
 
 # A gimbal that hardly moves, over a field: c goes with the heights.
-FIELD = {"tall": 0.05, "tilt_deg": 0.2}
+over_a_field = partial(fly, gaps=0.1, tall=0.05, tilt_deg=0.2)
 # As a receiver without corrections places pictures: heights and scale go with it.
 SINGLE_M = (1.5, 1.5, 3.0)
 
@@ -60,7 +61,7 @@ def adjusted_both(truth: Canopy) -> tuple[tuple[Block, AdjustedNetwork], tuple[B
 def test_heights_over_a_field_become_as_good_as_the_laser() -> None:
     """Closed form: what the laser knows of the mean height is offset, scale, and the mean of its shots."""
     for seed in range(4):
-        truth = fly(seed, gaps=0.1, **FIELD)
+        truth = over_a_field(seed)
         (plain_block, before), (block, after) = adjusted_both(truth)
         (_, old), (error, new) = (
             height(one, at, truth, flying=False) for one, at in ((plain_block, before), (block, after))
@@ -240,7 +241,7 @@ def written(folder: Path, truth: Canopy, laser: str) -> Path:
 
 
 def test_the_option_through_the_command(tmp_path: Path, photocal: Callable[..., Answer]) -> None:
-    truth = fly(6, gaps=0.1, **FIELD)
+    truth = over_a_field(6)
     results = {}
     for name, laser in (("default", ""), ("check", 'laser = "check"'), ("used", 'laser = "observation"')):
         project = written(tmp_path / name, truth, laser)
