@@ -126,6 +126,7 @@ class ImageKeys(Table):
         "IGS20@2026.9"; they are moved to that of the project.
     pictures: table of pictures with the camera that took each and, of cameras on one frame, the exposure.
     lens: "unknown" where the rays may choose between Brown's two lenses, with and without K4.
+    laser: laser distances of the pictures check the heights of the block, or are observations of it.
     """
 
     folder: Beside | None = None
@@ -135,11 +136,14 @@ class ImageKeys(Table):
     position_sigma_m: Sigmas | Literal["free"] | None = None
     position_frame: str | None = None
     lens: Literal["given", "unknown"] = "given"
+    laser: Literal["check", "observation"] = "check"
 
     @model_validator(mode="after")
     def _one(self) -> Self:
         if (self.folder is None) == (self.times is None):
             raise ValueError("give either folder (pictures) or times (a table of names and times)")
+        if self.laser == "observation" and self.folder is None:
+            raise ValueError('laser = "observation" needs pictures: give folder')
         return self
 
 
@@ -316,8 +320,8 @@ class Contents(Table):
     def _fits(self) -> Self:
         sections = ("flight", "images", "rig", "camera", "control")
         given = [name for name in sections if getattr(self, name)]
-        if self.images is not None and self.images.model_fields_set == {"folder"}:
-            # Pictures of a ready block are shown, not measured.
+        if self.images is not None and {"folder"} <= self.images.model_fields_set <= {"folder", "laser"}:
+            # Pictures of a ready block are shown, and their laser is read, but nothing is measured.
             given.remove("images")
         if self.measurements is not None and self.measurements.block is not None and given:
             raise ValueError(f"[{given[0]}] is given with a ready block, which contains it: remove one")

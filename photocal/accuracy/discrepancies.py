@@ -159,11 +159,11 @@ CODE = "laser-heights"
 # three sigmas, and as if all its distances had the error in common.
 LASER_M, LASER_SHARE = 0.2 / 3, 0.0015 / 3
 # A surface is told by so many of its points, the nearest of them within this share of the distance.
-_NEIGHBOURS, _DENSE = 8, 0.05
+NEIGHBOURS, DENSE = 8, 0.05
 # A surface of tie points is no better than this, m; with fewer shots nothing is said.
-_SMOOTH_M, _FEWEST = 0.05, 8
+SMOOTH_M, FEWEST_SHOTS = 0.05, 8
 # Weights fall from so many sigmas on (Huber); beyond the second a shot hit something else.
-_HUBER, _ELSEWHERE = 1.5, 4.0
+_HUBER, ELSEWHERE = 1.5, 4.0
 
 
 @dataclass(frozen=True)
@@ -213,11 +213,11 @@ def check_laser(shots: LaserShots, points: Floats, c_share: float = 0.0) -> Lase
     known = np.isfinite(shots.distance_m) & np.isfinite(shots.station + shots.direction).all(axis=1)
     target = shots.station[known] + shots.distance_m[known, None] * shots.direction[known]
     distance, ties = shots.distance_m[known], points[np.isfinite(points).all(axis=1)]
-    if len(target) < _FEWEST or len(ties) < _NEIGHBOURS:
+    if len(target) < FEWEST_SHOTS or len(ties) < NEIGHBOURS:
         return None
-    height, rough, dense = _surface(target[:, :2], ties, _DENSE * distance)
+    height, rough, dense = _surface(target[:, :2], ties, DENSE * distance)
     difference, sigma, distance = height[dense] - target[dense, 2], rough[dense], distance[dense]
-    if len(difference) < _FEWEST:
+    if len(difference) < FEWEST_SHOTS:
         return None
     design = np.ones((len(difference), 1))
     (bias,), (formal,), spread, far = _robust(design, difference, sigma)
@@ -226,10 +226,8 @@ def check_laser(shots: LaserShots, points: Floats, c_share: float = 0.0) -> Lase
     middle = float(np.median(distance))
     common = float(np.hypot(LASER_M + LASER_SHARE * middle, c_share * middle))
     scale = scale_sigma = np.nan
-    # A scale wants distances that differ by this share.
-    span = 0.2
-    if np.ptp(distance) > span * np.median(distance):
-        design = np.column_stack([np.ones(len(distance)), distance - np.median(distance)])
+    design = _with_scale(distance)
+    if design.shape[1] > 1:
         (_, scale), (_, scale_sigma), _, _ = _robust(design, difference, sigma)
         scale_sigma = float(np.hypot(scale_sigma, np.hypot(LASER_SHARE, c_share)))
     return LaserCheck(
@@ -238,22 +236,36 @@ def check_laser(shots: LaserShots, points: Floats, c_share: float = 0.0) -> Lase
     )  # fmt: skip
 
 
+def _with_scale(distance: Floats) -> Floats:
+    """Design of a bias and, where distances differ by enough for one, of a scale, shape (n, 1 or 2)."""
+    # A scale wants distances that differ by this share.
+    span, middle = 0.2, float(np.median(distance))
+    columns = [np.ones(len(distance)), distance - middle]
+    return np.column_stack(columns if np.ptp(distance) > span * middle else columns[:1])
+
+
+def far_off(difference: Floats, sigma: Floats, distance: Floats) -> Flags:
+    """Tell which shots hit something else: far from the bias, and the scale, of all others."""
+    _, _, _, far = _robust(_with_scale(distance), difference, sigma)
+    return far
+
+
 def _surface(places: Floats, ties: Floats, reach: Floats) -> tuple[Floats, Floats, Flags]:
     """Height of planes through the nearest tie points, their roughness, and which places have them near."""
     from scipy.spatial import KDTree
 
-    found, near = KDTree(ties[:, :2]).query(places, _NEIGHBOURS)
+    found, near = KDTree(ties[:, :2]).query(places, NEIGHBOURS)
     away = np.asarray(found)
     offset = ties[near] - np.column_stack([places, np.zeros(len(places))])[:, None]
     height, rough = np.empty(len(places)), np.empty(len(places))
     for k, (beside, distances) in enumerate(zip(offset, away, strict=True)):
         # Far ones count less: they are of another slope.
         weight = 1.0 / (distances + 1e-3 + 0.5 * distances[-1])
-        design = np.column_stack([np.ones(_NEIGHBOURS), beside[:, :2]])
+        design = np.column_stack([np.ones(NEIGHBOURS), beside[:, :2]])
         plane, *_ = np.linalg.lstsq(design * weight[:, None], beside[:, 2] * weight, rcond=None)
         rest = beside[:, 2] - design @ plane
         height[k] = plane[0]
-        rough[k] = np.hypot(_SMOOTH_M, np.sqrt(np.sum(rest**2) / (_NEIGHBOURS - 3)))
+        rough[k] = np.hypot(SMOOTH_M, np.sqrt(np.sum(rest**2) / (NEIGHBOURS - 3)))
     return height, rough, np.asarray(away[:, 2] <= reach)
 
 
@@ -275,13 +287,13 @@ def _robust(design: Floats, values: Floats, sigma: Floats) -> tuple[Floats, Floa
     spread = policy.mad_to_sigma * float(np.median(np.abs(rest)))
     # Efficiency of Huber's weights with normal errors.
     deviation = max(factor, 1.0) * np.sqrt(np.diag(np.linalg.inv(normal))) * 1.05
-    return estimates, deviation, spread, np.abs(rest / sigma) > _ELSEWHERE * max(factor, 1.0)
+    return estimates, deviation, spread, np.abs(rest / sigma) > ELSEWHERE * max(factor, 1.0)
 
 
 def laser_finding(check: LaserCheck | None, shots: int) -> Finding:
     """Say what the laser says, as a check beside check points."""
     if check is None:
-        return untested(CODE, "few-laser-shots", {"n": float(shots), "needed": float(_FEWEST)})
+        return untested(CODE, "few-laser-shots", {"n": float(shots), "needed": float(FEWEST_SHOTS)})
     figures = {
         "n": float(check.shots), "bias_m": check.bias_m, "sigma_m": check.sigma_m, "spread_m": check.spread_m,
         "elsewhere": float(check.elsewhere), "lonely": float(check.lonely),

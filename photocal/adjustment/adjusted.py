@@ -118,6 +118,7 @@ def without_images(network: Network, state: State, left_out: Flags) -> tuple[Net
         positions=_of_images(network.positions, image_place, ~left_out),
         attitudes=_of_images(network.attitudes, image_place, ~left_out),
         rig=network.rig.of_images(image_place, ~left_out),
+        lasers=network.lasers.of_points(point_place, points).of_images(image_place, ~left_out),
         point_names=tuple(name for name, has in zip(network.point_names, points, strict=True) if has),
     )
     return smaller, replace(

@@ -36,11 +36,14 @@ def complete(at: Factored, iterations: tuple[Iteration, ...]) -> Solution:
         "image", residuals.size, float(np.sum(problem.design.weight * residuals**2)), float(redundancy.sum())
     )
     groups = [rays, _control_group(problem, state.points, point_covariance)]
+    laser_residuals, laser_redundancy = np.zeros((2, len(network.lasers.image)))
     for name, equations in at.others.items():
         # Observations of the reduced system's unknowns.
         variance = equation_covariance(equations, structure, inverse, 1)[:, 0, 0]
         checked = len(variance) - float(np.sum(equations.weight * variance))
         groups.append(Group(name, len(variance), equations.chi_squared(), checked))
+        if name == "laser":
+            laser_residuals, laser_redundancy = equations.residual, 1.0 - equations.weight * variance
     observations = sum(group.observations for group in groups)
     camera_covariance = _camera_covariance(problem, inverse)
     image_covariance = blocks(problem.layout.image_columns, structure, inverse)
@@ -68,6 +71,8 @@ def complete(at: Factored, iterations: tuple[Iteration, ...]) -> Solution:
         _common_covariance(problem, inverse),
         _photo_variant(problem, state, inverse),
         state,
+        laser_residuals,
+        laser_redundancy,
     )
 
 

@@ -28,8 +28,8 @@ class Layout:
     own_columns (images, n): columns of each image's own parameters, see `own_parameters`; -1 for those that
         it does not have.
     camera_columns: for each camera the positions of its estimated parameters and their columns.
-    common_columns (k,): column of each common value of the mounting, then of the heads of rigs; -1 for
-        those that are no unknowns.
+    common_columns (k,): column of each common value of the mounting, of the lasers, then of the heads of
+        rigs; -1 for those that are no unknowns.
     kept_points (m,): points that are not eliminated because observations relate them to others.
     point_columns (m, 3): their columns.
     envelope, strips: structure of the matrix, and of the same with a panel for each image, as pieces of
@@ -74,12 +74,13 @@ def layout(network: Network, ray_start: Integers) -> Layout:
         column += len(active)
     lens = column - width * count
     mounted = bool(len(network.positions.image) or len(network.attitudes.image))
-    common = (network.mounting.sigma != 0) & mounted, rig.unknown(network.exposures.camera).ravel()
+    of_mounting = (network.mounting.sigma != 0) & mounted
+    common = of_mounting, network.lasers.unknown, rig.unknown(network.exposures.camera).ravel()
     unknown = np.flatnonzero(np.concatenate(common))
-    common_columns = np.full(len(common[0]) + len(common[1]), -1)
+    common_columns = np.full(sum(map(len, common)), -1)
     common_columns[unknown] = column + np.arange(len(unknown))
     column += len(unknown)
-    kept_points = network.relations.points
+    kept_points = np.union1d(network.relations.points, network.lasers.points)
     point_columns = column + np.arange(3 * len(kept_points)).reshape(-1, 3)
     column += point_columns.size
     reach, border = width * (last + 1), column - width * count

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from photocal.adjustment.lasers import NO_LASERS, LaserDistances
 from photocal.adjustment.mounting import (
     NO_ATTITUDES,
     NO_MOUNTING,
@@ -152,6 +153,7 @@ class Network:
     positions, attitudes, mounting: observations of a GNSS antenna and an inertial unit, and how they are
         mounted.
     rig: cameras that are fixed to each other.
+    lasers: distances from images to the surface of the points.
     """
 
     cameras: tuple[Camera, ...]
@@ -166,6 +168,7 @@ class Network:
     attitudes: Attitudes = NO_ATTITUDES
     mounting: Mounting = NO_MOUNTING
     rig: RigHeads = NO_RIG
+    lasers: LaserDistances = NO_LASERS
 
 
 def own_sigma(network: Network) -> Floats:

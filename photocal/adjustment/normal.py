@@ -172,6 +172,7 @@ def placing_equations(problem: Problem, state: State) -> dict[str, Equations]:
         "exposure": observations.exposure_equations(problem.network, problem.layout, state),
         **observations.relation_equations(problem.network, problem.layout, state),
         **observations.mounting_equations(problem.network, problem.layout, state),
+        **observations.distance_equations(problem.network, problem.layout, state),
     }
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from photocal.adjustment.equations import Equations
+from photocal.adjustment.lasers import laser_equations
 from photocal.adjustment.layout import Layout
 from photocal.adjustment.mounting import (
     NO_EQUATIONS,
@@ -13,7 +14,7 @@ from photocal.adjustment.mounting import (
 )
 from photocal.adjustment.network import ANGLES, RELATIONS, Network, own_parameters, own_sigma
 from photocal.adjustment.rig import rig_equations
-from photocal.adjustment.state import State, head_values, turn_basis
+from photocal.adjustment.state import State, head_values, laser_values, turn_basis
 from photocal.base.arrays import Floats
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
@@ -143,7 +144,7 @@ def mounting_equations(network: Network, layout: Layout, state: State) -> dict[s
     common, of_mounting = layout.common_columns, len(mounting.values)
     if len(rig.first):
         exposures, heads = network.exposures, head_values(network, state.common)
-        head_columns = common[of_mounting:]
+        head_columns = common[len(common) - heads.size :]
         moving = exposures.camera, (state.rotation, state.centre), exposures.motion
         result["rig"] = rig_equations(rig, heads, *moving, columns, basis, head_columns.reshape(heads.shape))
         result["head"] = common_equations(rig.values.ravel(), rig.sigma.ravel(), heads.ravel(), head_columns)
@@ -161,6 +162,25 @@ def mounting_equations(network: Network, layout: Layout, state: State) -> dict[s
             mounting.values, mounting.sigma, state.common[:of_mounting], common[:of_mounting]
         ),
     }
+
+
+def distance_equations(network: Network, layout: Layout, state: State) -> dict[str, Equations]:
+    """Laser distances, and what they have in common, where there are any."""
+    lasers, exposures = network.lasers, network.exposures
+    if not len(lasers.image):
+        return {}
+    corners = layout.point_columns[np.searchsorted(layout.kept_points, lasers.corners)].reshape(-1, 9)
+    first = len(network.mounting.values)
+    common = layout.common_columns[first : first + len(lasers.common_sigma)]
+    return laser_equations(
+        lasers,
+        (state.rotation, state.centre),
+        state.points,
+        laser_values(network, state.common),
+        (layout.image_columns, corners, common),
+        turn_basis(network, state),
+        (exposures.sigma != 0, ~network.points.held),
+    )
 
 
 def related(kind: str, difference: Floats) -> tuple[Floats, Floats]:

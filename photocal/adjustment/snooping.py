@@ -196,6 +196,7 @@ def subset(network: Network, accepted: Flags) -> tuple[Network, Integers, Intege
         rays=replace(network.rays, point=place[network.rays.point]).rows(rays),
         point_names=tuple(network.point_names[j] for j in points),
         relations=network.relations.moved(place),
+        lasers=network.lasers.of_points(place, needed),
         datum_points=datum,
     )
     return part, rays, points

@@ -88,6 +88,7 @@ class Solution:
     residuals, redundancy (rays, 2): computed minus measured, in the image plane; redundancy numbers.
     common_covariance (k, k): of the common values of mounting and rigs; zero for those that are held.
     state: the values as the adjustment holds them.
+    laser_residuals, laser_redundancy (lasers,): computed minus measured, m; redundancy numbers.
     timing_s: seconds by stage.
     """
 
@@ -108,6 +109,8 @@ class Solution:
     common_covariance: Floats
     photo_variant: PhotoVariant
     state: State
+    laser_residuals: Floats = field(default_factory=lambda: np.zeros(0))
+    laser_redundancy: Floats = field(default_factory=lambda: np.zeros(0))
     timing_s: dict[str, float] = field(default_factory=dict)
 
     @property

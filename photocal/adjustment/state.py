@@ -20,7 +20,8 @@ class State:
     rotation (images, 3, 3): object to camera axes.
     centre (images, 3).
     points (points, 3).
-    common (k,): common values of the mounting, then those of the heads of rigs, `rig.OF_HEAD` of each.
+    common (k,): common values of the mounting, of the lasers, `lasers.OF_LASER`, then those of the heads of
+        rigs, `rig.OF_HEAD` of each.
     deviations (images, n): how far each image's own parameters are from those of its camera and from its
         given movement.
     """
@@ -41,7 +42,9 @@ def start_state(network: Network) -> State:
         matrix_from_angles(exposures.values[:, :3]),
         exposures.values[:, 3:].copy(),
         network.points.values.copy(),
-        np.concatenate([network.mounting.values, network.rig.values.ravel()]),
+        np.concatenate(
+            [network.mounting.values, np.zeros(len(network.lasers.common_sigma)), network.rig.values.ravel()]
+        ),
         np.zeros(own_parameters(network).shape),
     )
 
@@ -70,7 +73,13 @@ def lenses(network: Network, state: State) -> Floats:
 
 def head_values(network: Network, common: Floats) -> Floats:
     """Values of the heads of rigs among the common ones, shape (heads, 7)."""
-    return common[len(network.mounting.values) :].reshape(network.rig.values.shape)
+    return common[len(common) - network.rig.values.size :].reshape(network.rig.values.shape)
+
+
+def laser_values(network: Network, common: Floats) -> Floats:
+    """Offset and scale of the lasers among the common values, shape (2,), or (0,) without lasers."""
+    first = len(network.mounting.values)
+    return common[first : first + len(network.lasers.common_sigma)]
 
 
 def lens_by_image(network: Network) -> bool:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from photocal.adjustment.lasers import OF_LASER, SCALE
 from photocal.adjustment.mounting import BORESIGHT, COMMON, HEIGHT_SCALE, STRIPS, TIME
 from photocal.adjustment.network import Network, own_parameters
 from photocal.adjustment.normal import Problem
@@ -65,7 +66,7 @@ def unknowns(problem: Problem) -> list[Unknown | None]:
 
 
 def common_unknowns(network: Network) -> list[Unknown]:
-    """Name the common values of the mounting and of the heads of rigs, in their order."""
+    """Name the common values of the mounting, of lasers and of the heads of rigs, in their order."""
     named = []
     for k in range(len(network.mounting.values)):
         if k < STRIPS:
@@ -77,6 +78,8 @@ def common_unknowns(network: Network) -> list[Unknown]:
         strip, place = divmod(k - STRIPS, 6)
         what, unit = ("shift", "m") if place < 3 else ("drift", "m/s")
         named.append(Unknown("mounting", "", f"{what}_{'xyz'[place % 3]}[{strip}]", unit))
+    for k, _ in enumerate(network.lasers.common_sigma):
+        named.append(Unknown("laser", "", OF_LASER[k], "" if k == SCALE else "m"))
     for camera in network.rig.camera:
         units = np.array(["s"] * len(OF_HEAD), dtype=object)
         units[TURN], units[CENTRE] = "deg", "m"

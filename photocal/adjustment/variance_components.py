@@ -138,6 +138,7 @@ def with_factors(network: Network, rays: RayGroups, factors: dict[str, float]) -
     by_relation = np.array([of(kind) for kind in network.relations.names])[network.relations.kind]
     exposures, positions = network.exposures, network.positions
     attitudes, mounting, rig, frame = network.attitudes, network.mounting, network.rig, of("rig")
+    lasers, shared = network.lasers, of("laser-offset")
     # 0 holds and infinity frees a value: both stay what they are.
     return replace(
         network,
@@ -162,5 +163,10 @@ def with_factors(network: Network, rays: RayGroups, factors: dict[str, float]) -
         mounting=replace(mounting, sigma=mounting.sigma * of("mounting")),
         rig=replace(
             rig, sigma=rig.sigma * of("head"), stiffness=rig.stiffness * frame, gust=rig.gust * frame
+        ),
+        lasers=replace(
+            lasers,
+            sigma=lasers.sigma * of("laser"),
+            common_sigma=tuple(shared * sigma for sigma in lasers.common_sigma),
         ),
     )

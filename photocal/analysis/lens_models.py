@@ -233,6 +233,7 @@ def _predicted(fitted: AdjustedNetwork, rest: State, out: Flags) -> tuple[float,
         positions=NO_POSITIONS,
         attitudes=NO_ATTITUDES,
         rig=network.rig.of_images(np.cumsum(out), np.zeros_like(out)),
+        lasers=network.lasers.rows(slice(0)),
     )
     state = replace(fitted.state, cameras=rest.cameras, common=rest.common, points=rest.points)
     alone, state = without_images(by_rays, state, ~out)

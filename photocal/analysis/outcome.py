@@ -24,6 +24,7 @@ from photocal.analysis.estimates import (
     significance,
     without,
 )
+from photocal.analysis.lasers import of_lasers
 from photocal.analysis.left_out import Checks, Within, WithoutParameter, left_out, within_flight
 from photocal.analysis.lens_models import LensFit, lens_fits, of_lenses
 from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
@@ -345,7 +346,7 @@ def analyse_network(
     kept = [finding for finding in listed if finding.code not in _TERMS or finding.subject not in other]
     names = [camera.id for camera in network.cameras]
     judged = [analyse_camera(fitted, k, checks, alpha, threshold, step) for k in range(len(names))]
-    told = (*of_lens, *kept, *of_datum(searched), *one_angle_photos(fitted))
+    told = (*of_lens, *kept, *of_datum(searched), *one_angle_photos(fitted), *of_lasers(fitted))
     if _scale_is_open(fitted):
         told = tuple(without_metres(finding, asked_of(fitted)) for finding in told)
     return Outcome(

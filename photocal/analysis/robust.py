@@ -142,9 +142,13 @@ def bootstrap(
             covariance=network.positions.covariance
             / np.maximum(times, 1)[network.positions.image, None, None],
         )
+        lasers = replace(
+            network.lasers,
+            sigma=network.lasers.sigma / np.sqrt(np.maximum(times, 1))[network.lasers.image],
+        )
         try:
             drawn, state = without_images(
-                replace(network, rays=rays, positions=positions), fit.state, times == 0
+                replace(network, rays=rays, positions=positions, lasers=lasers), fit.state, times == 0
             )
             cameras.append(lowest(drawn, state, 1e-8).state.cameras)
         except (IllPosedError, NotConvergedError):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from photocal.adjustment.lasers import NO_LASERS, LaserDistances
 from photocal.adjustment.network import ANGLES, NO_RELATIONS, RELATIONS, Relations, covariance_matrices
 from photocal.base.arrays import Floats
 from photocal.base.checked_toml import read_toml
@@ -24,7 +25,7 @@ from photocal.block.model import (
 from photocal.block.motion import MOTION_COLUMNS, read_motion
 from photocal.block.mounting import make_mounting, read_attitudes, read_positions
 from photocal.block.rig import make_heads
-from photocal.block.setup import ObservationKeys, Setup
+from photocal.block.setup import LaserKeys, ObservationKeys, Setup
 from photocal.geometry.camera import Camera
 from photocal.geometry.interior import Transformation, interior_orientation
 
@@ -41,6 +42,8 @@ OBSERVATION_COLUMNS = ("image", "point", "x", "y")
 # Observations between points stand in tables of their plural: distances.csv (m), height_differences.csv (m),
 # angles (degrees, azimuths from the Y axis towards X), lines.csv (m).
 CHECK_DISTANCES = "check_distances.csv"
+# Laser distances of images, and the points about their targets.
+LASER_DISTANCES, CORNERS = "laser_distances.csv", ("first", "second", "third")
 
 
 def from_readings(
@@ -161,7 +164,11 @@ def read_block(folder: Path) -> Block:
     relations = parts[0].plus(*parts[1:]) if parts else NO_RELATIONS
     checks = folder / CHECK_DISTANCES
     named = (*RELATIONS, "position", "attitude")
-    optional = (*(f"{name}s.csv" for name in named), CHECK_DISTANCES, *([] if readings else [FIDUCIAL_FITS]))
+    optional = (
+        *(f"{name}s.csv" for name in named),
+        *(CHECK_DISTANCES, LASER_DISTANCES),
+        *([] if readings else [FIDUCIAL_FITS]),
+    )
     present = [name for name in optional if (folder / name).exists()]
     tables = [SETUP, "images.csv", "points.csv", table.name, *present, *_priors(folder, setup)]
     tables += [MARKS, READINGS] if readings is not None else []
@@ -193,6 +200,7 @@ def read_block(folder: Path) -> Block:
         heads=make_heads(setup.head, [camera.id for camera in cameras], folder / SETUP),
         refraction=setup.block.refraction,
         curvature=setup.block.curvature,
+        lasers=read_lasers(folder / LASER_DISTANCES, setup.laser, images.names, points.names),
     )
 
 
@@ -328,6 +336,30 @@ def read_relations(path: Path, kind: str, points: tuple[str, ...], known: str = 
     scale = np.pi / 180 if kind in ANGLES else 1.0
     third = ends[2] if len(ends) == 3 else np.full(len(value), -1)
     return Relations(code, ends[0], ends[1], value * scale, sigma * scale, third)
+
+
+def read_lasers(
+    path: Path, keys: LaserKeys | None, images: tuple[str, ...], points: tuple[str, ...]
+) -> LaserDistances:
+    """Read laser distances, if there are any; errors as for `read_block`."""
+    if not path.exists():
+        return NO_LASERS
+    if keys is None:
+        raise ConfigurationError(
+            f"{path.name} needs what its distances have in common",
+            "give [laser] with offset_sigma_m and scale_sigma in block.toml",
+            where=path.parent / SETUP,
+        )
+    table = read_table(path, ("image", *CORNERS, "value", "sigma"))
+    image = known_rows(table, "image", images, "images.csv")
+    corners = np.column_stack([known_rows(table, corner, points, "points.csv") for corner in CORNERS])
+    value, sigma = table.numbers("value"), table.numbers("sigma")
+    same = (np.diff(np.sort(corners, axis=1), axis=1) == 0).any(axis=1)
+    refuse(table, same, "the same point stands there twice", "name three points about the target")
+    refuse(table, value <= 0, "the distance is not positive", "correct it")
+    refuse(table, sigma <= 0, "sigma is not positive", "give a standard deviation")
+    offset = np.inf if keys.offset_sigma_m == "free" else keys.offset_sigma_m
+    return LaserDistances(image, corners, value, sigma, (float(offset), keys.scale_sigma))
 
 
 def _sigmas(table: TextTable, column: str) -> Floats:

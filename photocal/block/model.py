@@ -8,6 +8,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
+from photocal.adjustment.lasers import NO_LASERS, LaserDistances
 from photocal.adjustment.mounting import (
     NO_ATTITUDES,
     NO_MOUNTING,
@@ -250,6 +251,8 @@ class Block:
         Known distances not used in the adjustment, by the index of their points.
     heads
         Cameras that are fixed to each other, the first of each frame among them.
+    lasers
+        Laser distances of images that are observations, by the index of images and points.
     global_test
         Its level and its kind.
     refraction
@@ -279,6 +282,7 @@ class Block:
     heads: tuple[Head, ...] = ()
     refraction: float | None = None
     curvature: bool = False
+    lasers: LaserDistances = NO_LASERS
 
     @staticmethod
     def read(path: str | Path) -> "Block":

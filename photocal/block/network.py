@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from photocal.adjustment.lasers import LaserDistances
 from photocal.adjustment.mounting import Positions
 from photocal.adjustment.network import (
     ExteriorOrientations,
@@ -248,6 +249,7 @@ def assemble(block: Block) -> NetworkOfBlock:
         block.attitudes,
         block.mounting,
         rig,
+        _lasers(block, position),
     )
     if block.refraction or block.curvature:
         network = straightened(network, block.refraction or 0.0, curved=block.curvature)
@@ -348,6 +350,19 @@ def _relations(block: Block, position: Integers) -> Relations:
             where=f"point {name}",
         )
     return block.relations.moved(position)
+
+
+def _lasers(block: Block, position: Integers) -> LaserDistances:
+    """Laser distances, with the points' places in the network."""
+    lost = block.lasers.corners[position[block.lasers.corners] < 0]
+    if len(lost):
+        name = block.points.names[lost[0]]
+        raise InputMalformedError(
+            f"point {name} is a corner of a laser distance but has no ray",
+            "name a point that images show",
+            where=f"point {name}",
+        )
+    return replace(block.lasers, corners=position[block.lasers.corners])
 
 
 def _datum_points(block: Block, position: Integers) -> Integers | None:

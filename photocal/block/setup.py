@@ -74,6 +74,13 @@ class MountingKeys(Table):
     camera_axes: tuple[BodyAxis, BodyAxis, BodyAxis] = ("right", "forward", "up")
 
 
+class LaserKeys(Table):
+    """Section `[laser]`: what the errors of all laser distances have in common."""
+
+    offset_sigma_m: NonNegative | Literal["free"]
+    scale_sigma: NonNegative
+
+
 class Setup(Table):
     """The whole of `block.toml`."""
 
@@ -82,3 +89,4 @@ class Setup(Table):
     camera: list[CameraKeys] = Field(min_length=1)
     mounting: MountingKeys = MountingKeys()
     head: tuple[HeadKeys, ...] = ()
+    laser: LaserKeys | None = None

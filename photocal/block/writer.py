@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from photocal.adjustment.lasers import OFFSET, SCALE, LaserDistances
 from photocal.adjustment.network import ANGLES, RELATIONS, Relations
 from photocal.base.codec import as_degrees, toml_text
 from photocal.base.errors import OutputError
@@ -14,9 +15,11 @@ from photocal.base.text_tables import LONG_TABLE, name_cells, named_columns, wri
 from photocal.block.camera_setup import camera_keys
 from photocal.block.folder import (
     CHECK_DISTANCES,
+    CORNERS,
     FIDUCIAL_FITS,
     IMAGE_COLUMNS,
     IMAGE_SIGMAS,
+    LASER_DISTANCES,
     MARKS,
     POINT_CROSS,
     READINGS,
@@ -26,7 +29,7 @@ from photocal.block.model import ROLES, Block, Images, ObjectPoints
 from photocal.block.motion import RATE, SIGMAS_OF_MOTION, VELOCITY
 from photocal.block.mounting import attitude_columns, mounting_keys, position_columns
 from photocal.block.rig import head_keys
-from photocal.block.setup import BlockKeys, ObservationKeys, Setup
+from photocal.block.setup import BlockKeys, LaserKeys, ObservationKeys, Setup
 from photocal.geometry.camera import SHAKE
 
 _TABLES = (
@@ -35,6 +38,7 @@ _TABLES = (
         "attitudes.csv",
         CHECK_DISTANCES,
         FIDUCIAL_FITS,
+        LASER_DISTANCES,
         MARKS,
         READINGS,
         *(f"{kind}s.csv" for kind in RELATIONS),
@@ -90,7 +94,15 @@ def setup_of(block: Block) -> Setup:
         camera=[camera_keys(camera) for camera in block.cameras],
         mounting=mounting_keys(block.mounting, block.positions),
         head=tuple(map(head_keys, heads)),
+        laser=_laser_keys(block.lasers),
     )
+
+
+def _laser_keys(lasers: LaserDistances) -> LaserKeys | None:
+    if not len(lasers.image):
+        return None
+    offset, scale = lasers.common_sigma[OFFSET], lasers.common_sigma[SCALE]
+    return LaserKeys(offset_sigma_m=offset if np.isfinite(offset) else "free", scale_sigma=scale)
 
 
 def _tables(block: Block) -> dict[str, dict[str, Any]]:
@@ -119,6 +131,13 @@ def _tables(block: Block) -> dict[str, dict[str, Any]]:
     if len(block.attitudes.image):
         seen_from = images.take(block.attitudes.image)
         tables["attitudes.csv"] = {"image": seen_from, **attitude_columns(block.attitudes)}
+    lasers = block.lasers
+    if len(lasers.image):
+        ends = {corner: names.take(rows) for corner, rows in zip(CORNERS, lasers.corners.T, strict=True)}
+        seen_from = images.take(lasers.image)
+        tables[LASER_DISTANCES] = {
+            "image": seen_from, **ends, "value": lasers.values, "sigma": lasers.sigma,
+        }  # fmt: skip
     if block.fiducial_fits:
         tables[FIDUCIAL_FITS] = _fits(block)
     return tables

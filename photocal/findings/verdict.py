@@ -52,7 +52,7 @@ _OF_BLOCK = frozenset((
     "gsd_contradicts_height", "base_contradicts_overlap", "single-check-point",
     "small-sample", "pictures-not-fixed", "corrections-old", "list-of-another-flight", "events-beside-time",
     "events-without-position", "events-without-sigma", "events-twice", "events-out-of-order", "events-jump",
-    "events-beside-pictures", "table-beside-pictures", "laser-heights",
+    "events-beside-pictures", "table-beside-pictures", "laser-heights", "laser-observations",
     "base-moved", "base-other-frame", "base-frame-untold", "positions-moved",
 ))  # fmt: skip
 # What shows that something is wrong, and goes with it: behind whatever may be its cause.

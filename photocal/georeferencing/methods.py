@@ -11,6 +11,7 @@ import numpy as np
 from photocal.adjustment.adjust import adjust, adjusted_network
 from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.joint import joint_covariance as covariance_of
+from photocal.adjustment.lasers import NO_LASERS
 from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import (
     NO_ATTITUDES,
@@ -120,7 +121,14 @@ def of_method(
 def without_georeference(block: Block) -> Block:
     """Return the block with control and image observations only."""
     images = replace(block.images, sigma=np.full_like(block.images.sigma, np.inf))
-    return replace(block, images=images, positions=NO_POSITIONS, attitudes=NO_ATTITUDES, mounting=NO_MOUNTING)
+    return replace(
+        block,
+        images=images,
+        positions=NO_POSITIONS,
+        attitudes=NO_ATTITUDES,
+        mounting=NO_MOUNTING,
+        lasers=NO_LASERS,
+    )
 
 
 def without_weak_images(block: Block) -> tuple[Block, Flags]:
@@ -145,12 +153,18 @@ def without_weak_images(block: Block) -> tuple[Block, Flags]:
         images=replace(block.images, sigma=sigma),
         positions=block.positions.rows(~weak[block.positions.image]),
         attitudes=block.attitudes.rows(~weak[block.attitudes.image]),
+        lasers=block.lasers.rows(~weak[block.lasers.image]),
     ), weak
 
 
 def _keep(block: Block, keep: Flags) -> Block:
     """Return the block with some of its observations."""
-    return block if keep.all() else replace(block, observations=block.observations.rows(keep))
+    if keep.all():
+        return block
+    seen = block.observations.rows(keep)
+    left = np.bincount(seen.point, minlength=len(block.points.names)) > 0
+    lasers = block.lasers.of_points(np.arange(len(left)), left)
+    return replace(block, observations=seen, lasers=lasers)
 
 
 def ground_points(block: Block) -> Integers:

@@ -35,7 +35,7 @@ NAME = "certificate.json"
 RESULT_KEYS = (
     *("schema", "software", "block", "inputs", "converged", "iterations", "observations", "unknowns"),
     *("degrees_of_freedom", "chi_squared", "sigma0_squared", "global_test", "groups", "cameras", "images"),
-    *("checks", "snooping", "mounting", "heads", "variance_components"),
+    *("checks", "snooping", "mounting", "heads", "lasers", "variance_components"),
 )
 FORMS = ("certificate.html", "certificate.pdf", NAME)
 

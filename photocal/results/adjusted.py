@@ -11,15 +11,17 @@ from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
+from photocal.adjustment.lasers import OFFSET, SCALE
 from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import BORESIGHT, COMMON, STRIPS
 from photocal.adjustment.network import Network
 from photocal.adjustment.readout import adjust_moving_images, with_moving_images
+from photocal.adjustment.reliability import UNCHECKED
 from photocal.adjustment.rig import OF_HEAD, TURN, head_rotation
 from photocal.adjustment.snooping import Test, snoop, subset
 from photocal.adjustment.solution import ComponentFactor, Solution, global_test
 from photocal.adjustment.solver import Iteration
-from photocal.adjustment.state import State, head_values, lenses, start_state
+from photocal.adjustment.state import State, head_values, laser_values, lenses, start_state
 from photocal.adjustment.unknowns import XYZ
 from photocal.adjustment.variance_components import estimate_components, rays_by_camera, with_factors
 from photocal.base.arrays import Flags, Floats, Integers
@@ -37,11 +39,13 @@ from photocal.results.folder import write_result
 from photocal.results.more_tables import Wanted, more_figures, write_more
 from photocal.results.result import (
     AdjustedHead,
+    AdjustedLasers,
     AdjustedPoints,
     BlockFacts,
     CheckLength,
     CheckPoint,
     CheckSummary,
+    LaserShot,
     MountingValue,
     RejectedRay,
     Residuals,
@@ -108,6 +112,7 @@ def result_of(
         snooping=snooping,
         mounting=_mounting(block, solution),
         heads=_heads(assembly.network, solution),
+        lasers=_lasers(assembly.network, solution),
         variance_components=tuple(components),
         readouts=assembly.readouts,
         rejected=tuple(
@@ -203,6 +208,8 @@ def state_of(assembly: NetworkOfBlock, result: Result) -> State | None:
         values[TURN] = np.radians(values[TURN])
         of_heads[[network.cameras[k].id for k in network.rig.camera].index(head.camera)] = values
     common[len(common) - of_heads.size :] = of_heads.ravel()
+    if result.lasers is not None:
+        laser_values(network, common)[:] = result.lasers.offset_m.value, result.lasers.scale.value
     points = result.points.values[[point[name] for name in network.point_names]]
     return replace(
         start,
@@ -243,6 +250,29 @@ def _mounting(block: Block, solution: Solution) -> dict[str, MountingValue] | No
         name: MountingValue(float(values[k]), float(sigma[k]), bool(block.mounting.sigma[k] != 0))
         for k, name in enumerate(names)
     }
+
+
+def _lasers(network: Network, solution: Solution) -> AdjustedLasers | None:
+    """Laser distances with what the block says of them; None without any."""
+    lasers = network.lasers
+    if not len(lasers.image):
+        return None
+    first = len(network.mounting.values)
+    values = laser_values(network, solution.state.common).tolist()
+    sigma = np.sqrt(np.diag(solution.common_covariance))[first:].tolist()
+    offset, scale = (
+        MountingValue(values[k], sigma[k], bool(lasers.common_sigma[k] != 0)) for k in (OFFSET, SCALE)
+    )
+    v, r = solution.laser_residuals, solution.laser_redundancy
+    checked = r > UNCHECKED
+    w = np.where(checked, v / (lasers.sigma * np.sqrt(np.where(checked, r, 1.0))), np.nan)
+    figures = (lasers.values, lasers.sigma, v, r, w)
+    rows = zip(lasers.image.tolist(), *(column.tolist() for column in figures), strict=True)
+    shots = tuple(
+        LaserShot(network.image_names[i], measured, stated, miss, share, t if np.isfinite(t) else None)
+        for i, measured, stated, miss, share, t in rows
+    )
+    return AdjustedLasers(offset, scale, shots)
 
 
 def _heads(network: Network, solution: Solution) -> tuple[AdjustedHead, ...]:

@@ -69,7 +69,7 @@ class _File(Figures):
 def result_json(result: Result) -> dict[str, Any]:
     """Content of `result.json`."""
     plain = {field.name: as_plain(getattr(result, field.name)) for field in fields(Figures)}
-    for optional in ("ellipses", "reliability", "control_residuals"):
+    for optional in ("ellipses", "reliability", "control_residuals", "lasers"):
         if plain[optional] is None:
             del plain[optional]
     count, rms = result.residuals.rms()

@@ -112,6 +112,27 @@ class MountingValue:
 
 
 @dataclass(frozen=True)
+class LaserShot:
+    """A laser distance and its residual (computed minus measured), m; no w where nothing checks it."""
+
+    image: str
+    measured: float
+    sigma: float
+    residual: float
+    redundancy: float
+    w: float | None
+
+
+@dataclass(frozen=True)
+class AdjustedLasers:
+    """Laser distances as observations: what they have in common, as the block finds it, and each of them."""
+
+    offset_m: MountingValue
+    scale: MountingValue
+    shots: tuple[LaserShot, ...]
+
+
+@dataclass(frozen=True)
 class AdjustedHead:
     """A camera on a frame, relative to the one that the heads of the frame refer to.
 
@@ -227,6 +248,7 @@ class Figures:
     mounting: lever arm (camera to antenna, body axes, m), boresight (deg), time offset (s), shifts and
         drifts.
     heads: cameras on a frame, but for those that the others refer to.
+    lasers: where distances are observations.
     mean_precision_m, control_residuals, fiducials, ellipses, reliability: what was asked for beside the
         rest, as in `result.json`.
     """
@@ -247,6 +269,7 @@ class Figures:
     snooping: Literal["w", "tau"] | None = None
     mounting: dict[str, MountingValue] | None = None
     heads: tuple[AdjustedHead, ...] = ()
+    lasers: AdjustedLasers | None = None
     variance_components: tuple[ComponentFactor, ...] = ()
     readouts: tuple[Readout, ...] = ()
     rejected: tuple[RejectedRay, ...] = ()

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from photocal.adjustment.datum import with_datum
+from photocal.adjustment.lasers import NO_LASERS
 from photocal.adjustment.network import NO_RELATIONS
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.snooping import ray_fit, robust_state, subset
@@ -137,6 +138,7 @@ def by_rays_alone(block: Block) -> Block:
         points=ObjectPoints(block.points.names, places, np.full_like(places, np.inf), np.full(count, TIE)),
         observations=block.observations.rows(np.flatnonzero(crossed(block))),
         relations=NO_RELATIONS,
+        lasers=NO_LASERS,
         heads=(),
     )
 

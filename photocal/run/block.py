@@ -22,7 +22,7 @@ from photocal.geometry.strips import strips
 from photocal.navigation.exposure_files import projected, with_images
 from photocal.navigation.exposures import Exposures
 from photocal.project import Project
-from photocal.run.stage import Stage
+from photocal.run.stage import Stage, pictures_of
 
 # What is to be said of a block as it was joined.
 FINDINGS = "findings.json"
@@ -58,13 +58,15 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
             block = _flown(block, exposures, project.rig.mounting(), project.crs)
             check_rays(block, project.control.points)
         block, by_hand = _chosen(block, project)
-        _write(folder, block, (*findings, *by_hand))
+        block, ranged = _ranged(block, project)
+        _write(folder, block, (*findings, *by_hand, *ranged))
         if (measurements / RECORD).exists():
             shutil.copyfile(measurements / RECORD, folder / RECORD)
 
     chosen: dict[str, Any] = {} if bent is None else {"refraction": bent}
-    chosen |= _left_out(project)
+    chosen |= _left_out(project) | _laser(project)
     inputs = {} if distances is None else {"distances": distances}
+    inputs |= _laser_pictures(project)
     if exposures is None:
         return Stage("block", "the block", make, inputs, chosen, (measurements,))
     settings = {"rig": project.rig.mounting().model_dump(mode="json"), "crs": project.crs, **chosen}
@@ -188,6 +190,28 @@ def _chosen(block: Block, project: Project) -> tuple[Block, tuple[Finding, ...]]
     return left_out(block, project.contents.leave_out) if project.contents.leave_out else (block, ())
 
 
+def _laser(project: Project) -> dict[str, Any]:
+    """Whether laser distances are observations, as a setting of the stage."""
+    images = project.contents.images
+    return {} if images is None or images.laser == "check" else {"laser": images.laser}
+
+
+def _laser_pictures(project: Project) -> dict[str, Path]:
+    """The pictures as inputs of the stage, where their laser distances are observations."""
+    return pictures_of(project) if _laser(project) else {}
+
+
+def _ranged(block: Block, project: Project) -> tuple[Block, tuple[Finding, ...]]:
+    """The block with laser distances as observations where the project asks for that."""
+    if not _laser(project):
+        return block, ()
+    from photocal.run.laser_distances import with_lasers
+    from photocal.run.project_checks import facts_of_pictures
+
+    block, finding = with_lasers(block, facts_of_pictures(project, None))
+    return block, (finding,)
+
+
 def _write(folder: Path, block: Block, findings: tuple[Finding, ...]) -> None:
     """Write a block, and beside it what is to be said of how it was joined."""
     from photocal.block.writer import write_block
@@ -206,11 +230,14 @@ def given_block_stage(project: Project, source: Path) -> Stage:
             raise InputNotFoundError(
                 "has no block.toml", "name a block folder in [measurements]", where=source
             )
-        if not project.contents.leave_out:
+        if not project.contents.leave_out and not _laser(project):
             shutil.copytree(source, folder, dirs_exist_ok=True)
             return
         from photocal.block.folder import read_block
 
-        _write(folder, *_chosen(read_block(source), project))
+        block, by_hand = _chosen(read_block(source), project)
+        block, ranged = _ranged(block, project)
+        _write(folder, block, (*by_hand, *ranged))
 
-    return Stage("block", "the block", make, {"block": source}, _left_out(project))
+    inputs = {"block": source, **_laser_pictures(project)}
+    return Stage("block", "the block", make, inputs, _left_out(project) | _laser(project))

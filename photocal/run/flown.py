@@ -78,7 +78,7 @@ def measure_flown(
     timed = bool(np.isfinite(time).all())
     order = np.argsort(time, kind="stable") if timed else np.arange(len(shots))
     shots, seconds = shots.only(order), time[order] if timed else np.arange(len(shots), dtype=np.float64)
-    scaled = model.datum != "free" or len(model.relations.kind) > 0
+    scaled = model.datum != "free" or len(model.relations.kind) > 0 or len(model.lasers.image) > 0
     axis = float(np.median(shots.rotation[:, 2, 2])) if len(shots) else -1.0
     nadir = len(shots.cameras) == 1 and axis >= math.cos(math.radians(NADIR_DEG))
     if only_nadir and not (nadir and scaled):
@@ -103,7 +103,9 @@ def measure_flown(
     measured = flown_block(shots, strip, ground_through(shots, frame.to_local(points)), moving, exposure)
     figures = figures_of(measured, exposure_ms=1e3 * exposure, iso=iso)
     lasers = np.array([f.laser_m if (f := facts.get(name)) else np.nan for name in shots.names])
-    if np.isfinite(lasers).any():
+    # As observations they are no check of the surface that they made.
+    checks = files.terrain is not None or not len(model.lasers.image)
+    if checks and np.isfinite(lasers).any():
         shot = LaserShots(shots.station, -shots.rotation[:, 2], lasers)
         near = frame.to_local(points)
         if files.terrain is not None:

@@ -78,6 +78,7 @@ def _without(block: Block, ray: Flags, point: Flags, image: Flags) -> Block:
         observations=replace(seen, point=place[seen.point]),
         relations=relations,
         check_distances=checks,
+        lasers=block.lasers.of_points(place, ~gone),
         datum_points=tuple(name for name in block.datum_points if name in staying),
     )
     return left if not image.any() else _of_images(left, image)
@@ -91,7 +92,8 @@ def _of_images(block: Block, gone: Flags) -> Block:
     _, strip = np.unique(positions.strip, return_inverse=True)
     positions = replace(positions, image=place[positions.image], strip=strip.astype(np.int64))
     attitudes = replace(attitudes, image=place[attitudes.image])
-    return replace(without_images(block, gone), positions=positions, attitudes=attitudes)
+    lasers = block.lasers.of_images(place, ~gone)
+    return replace(without_images(block, gone), positions=positions, attitudes=attitudes, lasers=lasers)
 
 
 def leave_out(path: Path, entry: LeaveOutKeys) -> None:

@@ -267,6 +267,8 @@ class _Text:
             names = ", ".join(map(self._beside, tables))
             self.missing.append(say("new.positions_several", files=names))
         yield f'lens = "unknown"  # {say("new.lens")}'
+        if any(np.isfinite(image.laser_m) for image in self.facts):
+            yield f'laser = "check"  # {say("new.laser_use")}'
         if self.seen.logs or not self.placed or self.crs == "local":
             return
         if stated < len(self.placed):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from photocal.adjustment.lasers import LaserDistances
 from photocal.adjustment.mounting import NADIR, Attitudes, Mounting, Positions
 from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, Relations, point_weights
 from photocal.geometry.camera import PARAMETERS, Affinity, AffinityForm, Camera, Model, camera
@@ -206,6 +207,33 @@ def related(
         values = values + rng.normal(0.0, sigma) * (kind != 5)
     third = np.where(kind > 3, first + 2, -1)
     return replace(network, relations=Relations(kind, first, first + 1, values, sigma, third))
+
+
+def ranged(
+    network: Network,
+    scene: Scene,
+    rng: np.random.Generator | None,
+    common_sigma: tuple[float, float] = (0.02, 0.001),
+    sigma: float = 0.01,
+    common: tuple[float, float] = (0.0, 0.0),
+) -> Network:
+    """Add a laser distance of each image to the plane through the three points nearest to its axis.
+
+    common: offset and scale of all distances, beyond the errors that they get with a generator.
+    """
+    matrix, centre = matrix_from_angles(scene.exposures[:, :3]), scene.exposures[:, 3:]
+    q = np.einsum("iab,ijb->ija", matrix, scene.points - centre[:, None])
+    corners = np.argsort(np.hypot(q[..., 0], q[..., 1]) / -q[..., 2], axis=1)[:, :3]
+    a, b, c = np.moveaxis(scene.points[corners], 1, 0)
+    upright, axis = np.cross(b - a, c - a), -matrix[:, 2]
+    far = np.sum(upright * (a - centre), axis=1) / np.sum(upright * axis, axis=1)
+    count, (offset, scale) = len(centre), common
+    if rng is not None:
+        offset, scale = np.array(common) + rng.normal(0.0, 1.0, 2) * common_sigma
+        far = far + rng.normal(0.0, sigma, count) / (1 + scale)
+    measured = (1 + scale) * far + offset
+    lasers = LaserDistances(np.arange(count), corners, measured, np.full(count, sigma), common_sigma)
+    return replace(network, lasers=lasers)
 
 
 def navigated(

@@ -185,6 +185,8 @@ def _columns(network: Network) -> dict[tuple[str, int, int], int]:
     names += [("point", j, n) for j in range(len(held)) for n in range(3) if not held[j, n]]
     if len(network.positions.image) or len(network.attitudes.image):
         names += [("common", 0, int(n)) for n in np.flatnonzero(network.mounting.sigma)]
+    mounted, shared = len(network.mounting.values), network.lasers.common_sigma
+    names += [("common", 0, mounted + n) for n in range(len(shared)) if shared[n] != 0]
     return {name: at for at, name in enumerate(names)}
 
 
@@ -193,7 +195,7 @@ def _start(network: Network) -> dict[str, Floats]:
         "camera": np.array([own.values for own in network.cameras]),
         "exposure": network.exposures.values,
         "point": network.points.values,
-        "common": network.mounting.values[None],
+        "common": np.append(network.mounting.values, np.zeros(len(network.lasers.common_sigma)))[None],
         "deviation": np.zeros((len(network.exposures.values), len(PARAMETERS) + 6 + 15)),
     }
 
@@ -301,7 +303,26 @@ def _residuals(network: Network, values: dict[str, Numbers], helmert: Helmert) -
     sigma = network.exposures.sigma
     for i, n in zip(*np.nonzero(np.isfinite(sigma) & (sigma > 0)), strict=True):
         out.append((values["exposure"][i, n] - network.exposures.values[i, n]) / sigma[i, n])
-    return np.array(out + _relations(network, values) + _navigation(network, values, matrices))
+    out += _relations(network, values) + _lasers(network, values, matrices)
+    return np.array(out + _navigation(network, values, matrices))
+
+
+def _lasers(network: Network, values: dict[str, Numbers], matrices: Numbers) -> list[Any]:
+    """Where the axis of a camera meets the plane of three points, in the object space."""
+    out, lasers = [], network.lasers
+    shared = values["common"][0, len(network.mounting.values) :]
+    for i, corners, value, sigma in zip(
+        lasers.image, lasers.corners, lasers.values, lasers.sigma, strict=True
+    ):
+        a, b, c = (values["point"][j] for j in corners)
+        upright = np.cross(b - a, c - a)
+        axis, centre = -matrices[i][2], values["exposure"][i, 3:]
+        far = (upright @ (a - centre)) / (upright @ axis)
+        out.append(((1 + shared[1]) * far + shared[0] - value) / sigma)
+    for value, sigma in zip(shared, lasers.common_sigma, strict=True):
+        if np.isfinite(sigma) and sigma > 0:
+            out.append(value / sigma)
+    return out
 
 
 def _relations(network: Network, values: dict[str, Numbers]) -> list[Any]:

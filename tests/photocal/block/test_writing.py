@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 import photocal
+from photocal.adjustment.lasers import NO_LASERS, LaserDistances
 from photocal.adjustment.mounting import (
     BORESIGHT,
     HEIGHT_SCALE,
@@ -230,6 +231,17 @@ def mounted(draw: Draw, rng: np.random.Generator, images: int) -> tuple[Position
     return positions, attitudes, Mounting(rotation, values, sigma)
 
 
+def some_lasers(draw: Draw, rng: np.random.Generator, images: int, points: int) -> LaserDistances:
+    count = draw(st.integers(0, 4))
+    if points < 3 or not count:
+        return NO_LASERS
+    corners = np.array([rng.permutation(points)[:3] for _ in range(count)])
+    value, sigma = rng.exponential(size=(2, count)) + 1e-3
+    image = np.asarray(rng.integers(0, images, count), dtype=np.int64)
+    common = draw(st.sampled_from([0.0, 0.07, np.inf])), draw(st.sampled_from([0.0, 5e-4]))
+    return LaserDistances(image, corners, value, sigma, common)
+
+
 def some_heads(draw: Draw, rng: np.random.Generator, cameras: tuple[str, ...]) -> tuple[Head, ...]:
     if len(cameras) < 2 or not draw(st.booleans()):
         return ()
@@ -294,6 +306,7 @@ def whole_blocks(draw: Draw) -> Block:
         heads=some_heads(draw, rng, ids),
         refraction=draw(st.sampled_from([None, 0.0, 0.13, rng.normal() % 1])),
         curvature=frame == "local" and draw(st.booleans()),
+        lasers=some_lasers(draw, rng, len(images.names), len(points.names)),
     )
 
 
