@@ -147,3 +147,20 @@ def test_check_prints_its_tables_in_the_language(
         assert other(key) not in printed.stdout
     # Product minus reference, 0.031 m the other way round in the table.
     assert f"-0{say.mark}031" in printed.stdout
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ([], "all grids of EPSG:31982 are here"),
+        (["--lang", "pt-BR"], "todas as grades de EPSG:31982 estão aqui"),
+    ],
+)
+def test_fetch_grids_speaks_the_language(
+    asked: list[str], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A system of the plane needs no grid."""
+    for name in ("LC_ALL", "LC_MESSAGES", "LANG"):
+        monkeypatch.delenv(name, raising=False)
+    printed = CliRunner().invoke(photocal_app, ["fetch-grids", "EPSG:31982", "--dry-run", *asked])
+    assert (printed.exit_code, printed.stdout.strip()) == (0, said)
