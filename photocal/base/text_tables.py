@@ -2,8 +2,9 @@
 
 import codecs
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,12 @@ _COMMA = r"[+-]?(\d+|\d{1,3}(\.\d{3})+)(,\d+)?([eE][+-]?\d+)?"
 _HEAD_BYTES = 1 << 20
 # Lines among which the heads are.
 _TITLES = 20
+# Words of a head that do not say whose column it is.
+_NO_HEADS = frozenset((
+    "m", "metros", "meters", "metres", "ft", "feet", "usft", "ftus", "sft", "mm", "cm", "deg", "degrees",
+    "graus", "utm", "grid", "coord", "coords", "coordenada", "coordenadas", "coordinate", "coordinates",
+    "coordinata", "coordonnee", "koordinate",
+))  # fmt: skip
 # Tables of observations and residuals that are longer are written as Parquet.
 LONG_TABLE = 500_000
 MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
@@ -34,6 +41,8 @@ class TextTable:
     lines: whether rows can be named by their line.
     separator: of the cells; where it is no comma, numbers may have a decimal comma.
     titles: lines before the heads, which have no cells.
+    heads: of columns that got other names: as they stand in the file.
+    kept: rows of the file that the table has; none where it has all.
     """
 
     path: Path
@@ -41,6 +50,8 @@ class TextTable:
     lines: bool
     separator: str = ","
     titles: int = 0
+    heads: Mapping[str, str] = field(default_factory=dict)
+    kept: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return int(self.columns.num_rows)
@@ -51,6 +62,7 @@ class TextTable:
 
     def place(self, row: int) -> str:
         """Name a row for a message."""
+        row = self.kept[row] if self.kept else row
         if not self.lines:
             return f"{self.path}, row {row + 1}"
         # Lines without content are skipped when reading, so that rows and lines may differ.
@@ -61,6 +73,11 @@ class TextTable:
                 if seen == row + 1:
                     return f"{self.path}, line {number}"
         return str(self.path)
+
+    def only(self, rows: Sequence[int]) -> "TextTable":
+        """Give the table of some rows, which keep their places in the file."""
+        kept = tuple(self.kept[row] if self.kept else row for row in rows)
+        return replace(self, columns=self.columns.take(pa.array(rows, pa.int64())), kept=kept)
 
     def names(self, column: str) -> tuple[Integers, tuple[str, ...]]:
         """Identifiers of a column: index of each row's name, and the distinct names in order."""
@@ -186,14 +203,37 @@ def read_wider_table(path: Path, required: tuple[str, ...]) -> TextTable:
 def read_under(path: Path, heads: Mapping[str, Sequence[str]], required: Iterable[str]) -> TextTable:
     """Read a table whose columns people name in other ways; those without a name of ours are left out.
 
-    heads: words for each column, the first of them that stands there counts; units in brackets do not.
+    heads: words for each column, the first of them that stands there counts; case, accents, signs, units and
+        words that say only that a column has coordinates do not.
     """
     table = read_columns(path)
-    names = [re.sub(r"[ _]*[(\[].*|^#", "", name.lower().strip()) for name in table.columns.column_names]
-    place = {key: names.index(word) for key, words in heads.items() for word in words[::-1] if word in names}
+    given = table.columns.column_names
+    whole = [folded(name) for name in given]
+    short = [shortened(name) for name in whole]
+    place = {}
+    for key, words in heads.items():
+        for word in map(folded, words[::-1]):
+            if word in whole or word in short:
+                place[key] = whole.index(word) if word in whole else short.index(word)
     if missing := [key for key in required if key not in place]:
+        names = [name.lower().strip() for name in given]
         raise InputNotFoundError(f"has no column {missing[0]} (found {', '.join(names)})", where=path)
-    return replace(table, columns=table.columns.select(list(place.values())).rename_columns(list(place)))
+    columns = table.columns.select(list(place.values())).rename_columns(list(place))
+    return replace(table, columns=columns, heads={key: given[k] for key, k in place.items()})
+
+
+def folded(head: str) -> str:
+    """A head as it is compared: small letters without accents, blanks for signs, no unit in brackets."""
+    outside = re.sub(r"[(\[].*", "", head) if re.match(r"[^(\[]*\w", head) else head
+    letters = unicodedata.normalize("NFKD", outside.casefold().replace("º", "").replace("°", ""))
+    plain = "".join(letter for letter in letters if not unicodedata.combining(letter))
+    return " ".join(re.split(r"[\W_]+", plain)).strip()
+
+
+def shortened(head: str) -> str:
+    """A folded head without words of its unit, or that it has coordinates."""
+    words = head.split()
+    return " ".join([word for word in words if word not in _NO_HEADS] or words)
 
 
 def read_columns(path: Path) -> TextTable:

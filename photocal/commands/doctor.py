@@ -244,19 +244,21 @@ def fetch_grids(
         option("Limits in degrees; default: the whole area of the system.", metavar="W S E N"),
     ] = None,
     dry: Annotated[bool, option("Only list what is missing.", "--dry-run")] = False,
+    language: Language = "",
     as_json: Annotated[bool, option("Print the names as JSON.", "--json")] = False,
 ) -> None:
     """Fetch the grids that a reference system needs, so that it can be used without a network.
 
     Example: `photocal fetch-grids EPSG:31982+5773 --area -54 -31 -53 -30`
     """
+    from photocal.findings.texts import catalogue, spoken
     from photocal.geometry.systems import fetch_grids as fetched
     from photocal.geometry.systems import missing_grids
 
-    names = missing_grids(crs, area) if dry else fetched(crs, area)
+    names, say = missing_grids(crs, area) if dry else fetched(crs, area), catalogue(spoken(language))
     word = "missing" if dry else "fetched"
     answer(
         as_json,
         lambda: {"crs": crs, word: list(names)},
-        lambda: "\n".join(f"{word}: {name}" for name in names) or f"all grids of {crs} are here",
+        lambda: "\n".join(say(f"grids.{word}", name=name) for name in names) or say("grids.here", crs=crs),
     )

@@ -33,7 +33,7 @@ def new(
     ] = "",
     height: Annotated[str, option("Height kind of the control points: ellipsoidal or orthometric.")] = "",
     marks: Annotated[
-        str, option("Size (1/2) and rotation (exif, 90) of the pictures in which the marks were made.")
+        str, option("Size (1/2) and rotation (exif, 90) of the pictures that were marked; or fraction.")
     ] = "",
     again: Annotated[
         bool, option("Keep the answers and comments of project.toml and add new findings.", "--again")

@@ -376,6 +376,12 @@ def _of_folder(folder: Path) -> ForeignProject:
                 refusal = refusal or failure
     if refusal is not None:
         raise refusal
+    if any(folder.rglob("Ori-PerspCentral-*.xml")):
+        raise InputNotFoundError(
+            "has orientations of MMVII, whose form is not read",
+            "give the Ori-* folder of mm3d; points and measurements of MMVII are read by photocal new",
+            where=folder,
+        )
     raise InputNotFoundError(
         "has no project in a known format",
         f"name the folder of a project of another program ({'; '.join(form.title for form in forms)})",

@@ -31,6 +31,7 @@ from photocal.measurement.match_images import MatchSettings, match
 
 # Sizes that people reduce pictures to, of the stored ones, beside what EXIF says was the full one.
 FACTORS = (1.0, 0.5, 0.25, 2.0, 4.0)
+FRACTION = "fraction"
 TURNS = ("stored", "exif", "90", "180", "270")
 # Pairs of pictures that are compared, on reduced copies; the nearest matches carry a mark over.
 MOST_PAIRS, LONGEST_PX, NEAREST, FEWEST = 6, 1200, 12, 20
@@ -49,13 +50,17 @@ class MarkFrame:
 
     factor: size of the pictures that they were made in, over the stored ones.
     turn: "stored", "exif" for as viewers show them, or degrees clockwise.
+    fraction: whether they are fractions of the width and the height, from the upper left corner.
     """
 
     factor: float = 1.0
     turn: str = "stored"
+    fraction: bool = False
 
     def __str__(self) -> str:
         """Write it as an option takes it."""
+        if self.fraction:
+            return FRACTION
         share = Fraction(self.factor).limit_denominator(1000)
         parts = [] if self.factor == 1.0 else [str(share)]
         parts += [] if self.turn == "stored" else [self.turn]
@@ -63,6 +68,8 @@ class MarkFrame:
 
     def said(self, say: Catalogue) -> str:
         """Say it in words."""
+        if self.fraction:
+            return say("new.frame_fraction")
         share = Fraction(self.factor).limit_denominator(1000)
         size = "" if self.factor == 1.0 else say("new.frame_size", share=share)
         turned = {"stored": "", "exif": say("new.frame_exif")}
@@ -76,6 +83,8 @@ class MarkFrame:
 
     def _stored(self, mark: Mark, picture: ImageFacts) -> Mark:
         width, height = picture.size_px
+        if self.fraction:
+            return replace(mark, x=mark.x * width - 0.5, y=mark.y * height - 0.5)
         # From the edge, in stored pixels; the centre of the first one is half a pixel from it.
         x, y = (mark.x + 0.5) / self.factor, (mark.y + 0.5) / self.factor
         turn, mirrored = self._turn_of(picture)
@@ -89,7 +98,7 @@ class MarkFrame:
         return (0 if self.turn == "stored" else int(self.turn)), False
 
 
-AS_STORED = MarkFrame()
+AS_STORED, OF_SIZE = MarkFrame(), MarkFrame(fraction=True)
 
 
 @dataclass(frozen=True)
@@ -114,12 +123,14 @@ class FrameChoice:
     sure: whether that leaves no doubt.
     fits: of the frames that were tried, the best first, that of the stored grid among them.
     pairs: marks that were carried over.
+    fractions: whether all marks lie between 0 and 1, so that they are none of the stored grid.
     """
 
     chosen: MarkFrame
     sure: bool
     fits: tuple[FrameFit, ...]
     pairs: int
+    fractions: bool = False
 
     def fit_of(self, frame: MarkFrame) -> FrameFit:
         """Give how marks fit one of the frames."""
@@ -156,7 +167,12 @@ class FrameChoice:
 
 
 def parse_frame(text: str) -> MarkFrame:
-    """Read an option: a factor ("1/2", "0.25"), a turn ("exif", "90"), or both; "1" is as stored."""
+    """Read an option: a factor ("1/2", "0.25"), a turn ("exif", "90"), or both; "1" is as stored.
+
+    "fraction" is for marks between 0 and 1.
+    """
+    if text.strip().lower() == FRACTION:
+        return OF_SIZE
     factor, turn = 1.0, "stored"
     for word in text.lower().replace(",", " ").split():
         if word in TURNS:
@@ -167,7 +183,7 @@ def parse_frame(text: str) -> MarkFrame:
             raise ConfigurationError(
                 f"marks made in {text!r} are not understood",
                 "give the size of the pictures that they were made in over that of the stored ones (1/2), a "
-                "turn (exif, 90, 180, 270), or both",
+                f"turn (exif, 90, 180, 270), or both; or {FRACTION}",
                 where="--marks",
             )
     return MarkFrame(factor, turn)
@@ -187,6 +203,8 @@ def choose_frame(marks: Sequence[Mark], facts: Facts, folder: Mapping[str, Path]
     marks = [m for m in marks if m.image in facts and max(abs(m.x), abs(m.y)) <= MAX_SIDE_PX]
     if not marks:
         return FrameChoice(AS_STORED, True, (FrameFit(AS_STORED, 0),), 0)
+    if are_fractions(np.array([(mark.x, mark.y) for mark in marks])):
+        return _as_fractions(marks, facts, folder)
     frames = _frames(marks, facts)
     inside = [FrameFit(frame, _outside(frame.stored(marks, facts), facts)) for frame in frames]
     as_stored = inside[0]
@@ -213,6 +231,22 @@ def choose_frame(marks: Sequence[Mark], facts: Facts, folder: Mapping[str, Path]
     rivals = [fit for fit in judged[1:] if not _alike(best.frame, fit.frame, marks, facts)]
     sure = best.miss <= FITS and all(fit.miss > CLEARLY * best.miss for fit in rivals) and not best.outside
     return FrameChoice(best.frame if sure else AS_STORED, sure, tuple(judged), len(carried))
+
+
+def _as_fractions(marks: Sequence[Mark], facts: Facts, folder: Mapping[str, Path]) -> FrameChoice:
+    """Take marks between 0 and 1 for fractions, unless marks of one point then show different places."""
+    carried = _carried(OF_SIZE.stored(marks, facts), folder)
+    miss = _miss(AS_STORED, carried, facts) if carried else math.nan
+    own = FrameFit(AS_STORED, len(marks))
+    if miss > FITS:
+        return FrameChoice(AS_STORED, False, (own,), len(carried), fractions=True)
+    return FrameChoice(OF_SIZE, True, (FrameFit(OF_SIZE, 0, miss), own), len(carried), fractions=True)
+
+
+def are_fractions(places: Floats) -> bool:
+    """Whether places in pictures, (n, 2), lie between 0 and 1: nobody marks nothing but the first pixel."""
+    inside = (places >= 0.0).all() and (places <= 1.0).all()
+    return bool(len(places) and inside and (places % 1.0 != 0.0).any())
 
 
 def _frames(marks: Sequence[Mark], facts: Facts) -> list[MarkFrame]:
@@ -325,15 +359,16 @@ def settle_marks(
     left_out = [(mark, cause) for mark in marks if (cause := _unknown(mark, names, pictures)) is not None]
     lost = {id(mark) for mark, _ in left_out}
     here = [mark for mark in marks if id(mark) not in lost]
-    frame, findings = AS_STORED, list[Finding]()
+    frame, findings, usable = AS_STORED, list[Finding](), True
     if here:
         choice = choose_frame(here, pictures, folder)
+        usable = choice.sure or not choice.fractions
         if choice.sure and choice.chosen != AS_STORED:
             frame = choice.chosen
             findings.append(_reframed(choice))
     kept = list[Mark]()
     for given, mark in zip(here, frame.stored(here, pictures), strict=True):
-        if inside(mark, pictures[mark.image].size_px):
+        if usable and inside(mark, pictures[mark.image].size_px):
             kept.append(mark)
             continue
         figures = {"image": mark.image, "x": mark.x, "y": mark.y}
@@ -354,7 +389,7 @@ def _unknown(mark: Mark, points: Collection[str], pictures: Collection[str]) -> 
 def _reframed(choice: FrameChoice) -> Finding:
     own, best = choice.fit_of(AS_STORED), choice.fits[0]
     figures = {"frame": str(choice.chosen), "n": float(choice.pairs), "outside": float(own.outside)}
-    if np.isnan(best.miss):
+    if np.isnan(best.miss) or choice.fractions:
         return Finding("marks-reframed", "doubtful", figures=figures, clauses=("all-fall-inside",))
     figures |= {"percent": 100.0 * best.miss, "percent_as_stored": 100.0 * own.miss}
     return Finding("marks-reframed", "doubtful", figures=figures, clauses=("pairs-meet",))

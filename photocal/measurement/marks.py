@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from photocal.adjustment.network import covariance_matrices
-from photocal.base.arrays import Flags
+from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.geodesy import enu_axes
 from photocal.base.text_tables import read_table, refuse
@@ -19,7 +19,9 @@ from photocal.exchange.ground_points import read_gcp_list, read_gcp_rows
 from photocal.exchange.metashape import markers
 from photocal.exchange.parts import Mark, PointEntry, object_points, require_unique
 from photocal.exchange.source import Line, number, read_json, read_lines, read_xml, require_readable
+from photocal.findings.texts import Catalogue
 from photocal.geometry.frames import system_of
+from photocal.measurement.mark_frames import are_fractions
 from photocal.measurement.position_files import IMAGE_HEADS
 
 # A point that somebody clicked, when the table does not say how well.
@@ -109,7 +111,7 @@ def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks
     return ControlMarks(crs, object_points(entries), marks, assumed=frozenset(places))
 
 
-def read_typed_list(path: Path, sigma_m: Sigma) -> ControlMarks:
+def read_typed_list(path: Path, sigma_m: Sigma, say: Catalogue) -> ControlMarks:
     """Read gcp_list.txt row by row: one that cannot be used is named and costs nothing but itself.
 
     The system is as the first line calls it. A name has the place of its first row, a place the name.
@@ -122,10 +124,10 @@ def read_typed_list(path: Path, sigma_m: Sigma) -> ControlMarks:
     most_m = 1e11
     for row in given:
         if max(map(abs, row.xyz)) > most_m:
-            refused.append(f"{row.line.place}: {max(row.xyz, key=abs):g} is not a coordinate on the earth")
+            refused.append(say("new.row_far", place=row.line.place, value=f"{max(row.xyz, key=abs):g}"))
             continue
         if row.name and places.get(row.name, row.xyz) != row.xyz:
-            refused.append(f"{row.line.place}: {row.name} has other coordinates than before")
+            refused.append(say("new.row_moved", place=row.line.place, name=row.name))
             continue
         known = names.get(row.xyz)
         if known is None:
@@ -133,7 +135,7 @@ def read_typed_list(path: Path, sigma_m: Sigma) -> ControlMarks:
             known = row.name or next(free)
             names[row.xyz], places[known] = known, row.xyz
         if (row.image, known) in marks:
-            refused.append(f"{row.line.place}: {known} is marked in {row.image} already")
+            refused.append(say("new.mark_again", place=row.line.place, point=known, image=row.image))
         else:
             marks[row.image, known] = Mark(row.image, known, row.column, row.row, _BY_HAND, row.line.place)
     entries = [PointEntry(name, "control", xyz, (sigma_m[0], *sigma_m)) for name, xyz in places.items()]
@@ -351,6 +353,12 @@ def read_any_marks(path: Path, sizes: Mapping[str, tuple[int, int]]) -> tuple[Ma
     return marks
 
 
+def from_corner(pixels: Floats) -> Floats:
+    """Places counted from the corner of the upper-left pixel, (n, 2), from its centre; fractions stay."""
+    half = 0.5
+    return pixels if are_fractions(pixels) else pixels - half
+
+
 def named_after(marks: Iterable[Mark], images: Iterable[str]) -> tuple[Mark, ...]:
     """Give marks the names of image files: other programs leave out endings, or name folders, too."""
     names = set(images)
@@ -379,7 +387,10 @@ def _text(path: Path) -> tuple[Mark, ...]:
         return read_marks(path)
     order = _order(head, path)
     body = lines if order is None else lines[1:]
-    return tuple(_mark(line, delimiter, order or (0, 1, 2, 3)) for line in body)
+    marks = [_mark(line, delimiter, order or (0, 1, 2, 3)) for line in body]
+    # In all others the corner of that pixel is (0, 0).
+    pixels = from_corner(np.array([(mark.x, mark.y) for mark in marks]).reshape(-1, 2))
+    return tuple(replace(mark, x=x, y=y) for mark, (x, y) in zip(marks, pixels.tolist(), strict=True))
 
 
 def _order(head: Sequence[str], path: Path) -> tuple[int, ...] | None:
@@ -413,7 +424,5 @@ def _mark(line: Line, delimiter: str, order: Sequence[int]) -> Mark:
         raise line.malformed(f"has {len(cells)} cells where image, point, x, y were expected")
     if delimiter != ",":
         cells = [cell.replace(",", ".") for cell in cells]
-    # In all others the corner of that pixel is (0, 0).
-    half = 0.5
-    x, y = (number(cells[k], line.place, "mark") - half for k in order[2:])
+    x, y = (number(cells[k], line.place, "mark") for k in order[2:])
     return Mark(cells[order[0]], cells[order[1]], x, y, _BY_HAND, line.place)

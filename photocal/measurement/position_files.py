@@ -34,17 +34,22 @@ from photocal.measurement.listed_positions import ListedPositions, judge_listed
 
 Given = Callable[[ImageFacts], ImageFacts]
 # Heads of the columns of places as people write them; the last ones of X and Y are of degrees.
-_LONGITUDE, _LATITUDE = ("lon", "long", "longitude"), ("lat", "latitude")
+_LONGITUDE = ("lon", "long", "longitude", "longitud", "longitudine", "lng", "lambda", "λ", "länge")
+_LATITUDE = ("lat", "latitude", "latitud", "latitudine", "phi", "φ", "breite")
 _HEIGHT = (
     "z", "h", "height", "elevation", "altitude", "alt", "elev", "cota", "elevação", "altura",
-    "ellipsoidal height", "ellipsoidal_height", "orthometric height", "altitude elipsoidal",
-    "ortho. height", "ellip. height", "altitude ortométrica", "altitude geométrica", "elevación", "altitud",
-    "höhe", "hoehe", "z/altitude",
+    "ellipsoidal height", "orthometric height", "altitude elipsoidal", "ortho. height", "ellip. height",
+    "altitude ortométrica", "altitude geométrica", "elevación", "altitud", "höhe", "hoehe", "z/altitude",
+    "hgt", "quota", "altezza", "hauteur", "level", "up",
 )  # fmt: skip
 _METRES = {
-    "X": ("x", "e", "east", "easting", "este", "leste", "coordenada e", "rechtswert", "ost", "x/easting"),
-    "Y": ("y", "n", "north", "northing", "norte", "coordenada n", "hochwert", "nord", "y/northing"),
-}
+    "X": (
+        "x", "e", "east", "easting", "este", "leste", "est", "rechtswert", "ost", "x/easting", "ostwert",
+    ),
+    "Y": (
+        "y", "n", "north", "northing", "norte", "nord", "hochwert", "y/northing", "nordwert",
+    ),
+}  # fmt: skip
 _DEGREES = {"X": _LONGITUDE, "Y": _LATITUDE}
 PLACE_HEADS = {
     "X": (*_METRES["X"], *_LONGITUDE),

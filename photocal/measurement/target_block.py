@@ -9,6 +9,7 @@ import numpy as np
 
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.snooping import snoop
+from photocal.adjustment.solution import Solution
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError, InputNotFoundError
 from photocal.base.files import digest
@@ -262,18 +263,31 @@ def without_gross_corners(block: Block) -> tuple[Block, list[dict[str, str]]]:
 def with_common_sigma(block: Block) -> tuple[Block, dict[str, Any]]:
     """Add to the sigmas what makes the residuals as large as they claim (uniform over the images).
 
+    Each corner counts by its own sigma: a few that grey values tell badly do not hide the common part.
     Cameras and images start from its adjustment. Also tells how well each camera's principal distance is
     determined: its sigma over its value.
     """
-    seen = block.observations
-    fit_variance = seen.sigma**2
-    level = np.sqrt(fit_variance.mean())
-    equal = replace(block, observations=replace(seen, sigma=np.full_like(seen.sigma, level)))
-    solution = adjust(assemble(equal).network)
+    from scipy.optimize import brentq
+
+    seen, assembly = block.observations, assemble(block)
+    network, told = assembly.network, seen.sigma[assembly.rays]
+    solution, common = adjust(network), 0.0
+
+    def adjusted(common: float) -> Solution:
+        """Adjust with that common part, from where all of them end nearly."""
+        wider = network.rays.sigma * np.hypot(told, common) / told
+        return adjust(replace(network, rays=replace(network.rays, sigma=wider)), state=solution.state)
+
+    if solution.variance_factor > 1.0:
+        # With twice the root mean square of all, no residuals are that large.
+        most = 2.0 * float(np.sqrt(solution.variance_factor * (told**2).max()))
+        common = float(
+            brentq(lambda one: adjusted(one).variance_factor - 1.0, 0.0, most, xtol=1e-5, rtol=1e-3)
+        )
+        solution = adjusted(common)
     factor = max(solution.variance_factor, 0.0)
-    common = float(np.sqrt(max(factor * level**2 - fit_variance.mean(), 0.0)))
     ratio = np.sqrt(factor * solution.camera_covariance[:, 0, 0]) / solution.cameras[:, 0]
-    sigma = np.sqrt(fit_variance + common**2)
+    sigma = np.hypot(seen.sigma, common)
     cameras = tuple(camera.with_values(v) for camera, v in zip(block.cameras, solution.cameras, strict=True))
     images = replace(block.images, values=solution.exposures)
     block = replace(block, cameras=cameras, images=images, observations=replace(seen, sigma=sigma))

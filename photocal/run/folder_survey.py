@@ -11,7 +11,7 @@ import numpy as np
 
 from photocal.base.arrays import Integers
 from photocal.base.errors import InputNotFoundError, PhotocalError
-from photocal.base.text_tables import TextTable, read_under
+from photocal.base.text_tables import folded, shortened
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.exchange.parts import Mark, PointEntry, object_points
 from photocal.exchange.source import number, read_lines
@@ -23,11 +23,13 @@ from photocal.measurement.marks import (
     BY_HAND_PX,
     MARK_HEADS,
     ControlMarks,
+    from_corner,
     named_after,
     read_any_marks,
     read_control_marks,
     read_typed_list,
 )
+from photocal.measurement.place_tables import PlaceTable, read_places
 from photocal.measurement.position_files import PLACE_HEADS, UnbelievableListError, in_degrees, read_positions
 
 # Sigma of control points whose file has none, horizontal and vertical, m: a network RTK of short occupation.
@@ -35,8 +37,11 @@ ASSUMED_M = (0.02, 0.03)
 # Heads of columns as people write them.
 HEADS = {
     "point": (
-        "point", "ponto", "name", "nome", "label", "gcp", "marco", "vertice", "vértice", "point id",
-        "point_id", "punto", "nombre", "punkt", "punktnummer", "punkt-id", "id",
+        "point", "ponto", "name", "nome", "label", "gcp", "marco", "vértice", "point id", "punto", "nombre",
+        "punkt", "punktnummer", "punkt-id", "id", "point name", "point number", "point no", "pt", "pt id",
+        "punktnr", "punktname", "nome punto", "nome ponto", "nome do ponto", "id ponto", "id punto", "nom",
+        "matricule", "gcp id", "gcp name", "gcp label", "marker", "marker label", "station", "estação",
+        "target", "alvo", "repère", "number", "num", "número", "numero", "nummer", "no", "nr", "nº",
     ),
     **PLACE_HEADS,
     "role": ("role", "tipo", "type", "uso"),
@@ -63,7 +68,12 @@ _COMPUTED = {
         "*_gcps_position.txt", "*_tp_*.txt", "*_pmatrix.txt",
     ),
     "ODM": ("shots.geojson",),
+    "MicMac": ("orientation-*.xml", "autocal_*.xml"),
+    "MMVII": ("ori-perspcentral-*.xml", "calib-perspcentral-*.xml"),
 }  # fmt: skip
+
+# Those whose projects no command reads.
+_NOT_READ = ("MMVII",)
 
 
 @dataclass(frozen=True)
@@ -74,6 +84,10 @@ class ControlFile:
     cameras: where another program's set-up has them.
     rows, refused: of a list with a row for each mark: how many, and those that cannot be used.
     assumed: points whose sigmas nobody states.
+    unit_m: metres of the unit that heads state.
+    height, height_head: kind of the heights where a head says it, and that head.
+    level: EPSG code of the system of heights that it names.
+    unordered: whether no head says which of the coordinates is east.
     """
 
     file: Path
@@ -84,6 +98,11 @@ class ControlFile:
     cameras: tuple[Camera, ...] = ()
     rows: int = 0
     refused: tuple[str, ...] = ()
+    unit_m: float = 1.0
+    height: str = ""
+    height_head: str = ""
+    level: str = ""
+    unordered: bool = False
 
 
 @dataclass
@@ -141,7 +160,7 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
             seen.positions.append(path)
             seen.pictures = placed
         elif kind in (*_TABLES, ".xml", ".json", ".psz"):
-            control = _control(path, sizes, seen.unread)
+            control = _control(path, sizes, seen.unread, say)
             if control is not None:
                 (seen.marks if control.points is None else seen.control).append(control)
     return seen
@@ -153,7 +172,8 @@ def _results(files: Sequence[Path], seen: FolderContents, say: Catalogue) -> set
     for where, program in dict.fromkeys((path.parent, program) for path, program in found.items()):
         inner = where.relative_to(seen.folder).as_posix()
         here = say("new.the_folder") if where == seen.folder else inner
-        seen.unread.append(say("new.computed", where=here, program=program, folder=where))
+        key = "new.computed_only" if program in _NOT_READ else "new.computed"
+        seen.unread.append(say(key, where=here, program=program, folder=where))
     return set(found)
 
 
@@ -211,12 +231,12 @@ def _files(folder: Path, depth: int) -> Iterator[Path]:
             yield from _files(path, depth - 1)
 
 
-def _control(path: Path, sizes: Sizes, unread: list[str]) -> ControlFile | None:
+def _control(path: Path, sizes: Sizes, unread: list[str], say: Catalogue) -> ControlFile | None:
     """Control or marks of a file; None for one that has neither. What looks like them tells why not."""
     refusals = []
     for read in _READERS[path.suffix.lower()]:
         try:
-            control = read(path, sizes)
+            control = read(path, sizes, say)
         except PhotocalError as refusal:
             refusals.append(refusal)
             continue
@@ -243,23 +263,23 @@ def _seems_a_table(path: Path) -> tuple[bool, bool]:
     rows = [re.split(r"[\t;]+| *, +|,(?!\d)| +", line.text.strip()) for line in lines]
     count = [sum(_NUMBER.fullmatch(cell.strip('"')) is not None for cell in row) for row in rows]
     headed = len(rows) > 1 and len(rows[0]) > 3 and count[0] == 0
-    # East and north.
-    least = 2
-    return headed, len(rows) > headed and min(count[headed:], default=0) >= least
+    # East and north; a row of units or of sums may lack them.
+    least, most = 2, sorted(count[headed:])
+    return headed, len(rows) > headed and most[len(most) // 3] >= least
 
 
-def _one_file(path: Path, sizes: Sizes) -> ControlFile:
+def _one_file(path: Path, sizes: Sizes, _: Catalogue) -> ControlFile:
     given: ControlMarks = read_control_marks(path, ASSUMED_M, sizes)
     return ControlFile(path, given.crs, given.points, given.marks, given.assumed)
 
 
-def _typed_list(path: Path, _: Sizes) -> ControlFile:
-    given = read_typed_list(path, ASSUMED_M)
+def _typed_list(path: Path, _: Sizes, say: Catalogue) -> ControlFile:
+    given = read_typed_list(path, ASSUMED_M, say)
     rows, refused = given.rows, given.refused
     return ControlFile(path, given.crs, given.points, given.marks, given.assumed, rows=rows, refused=refused)
 
 
-def _other_program(path: Path, _: Sizes) -> ControlFile:
+def _other_program(path: Path, _: Sizes, __: Catalogue) -> ControlFile:
     from photocal.exchange.formats import read_foreign_block
 
     return of_foreign(path, read_foreign_block(path))
@@ -283,7 +303,7 @@ def of_foreign(path: Path, block: Block) -> ControlFile:
     return ControlFile(path, block.frame, block.points.only(surveyed), marks, cameras=block.cameras)
 
 
-def _micmac(path: Path, _: Sizes) -> ControlFile:
+def _micmac(path: Path, _: Sizes, __: Catalogue) -> ControlFile:
     from photocal.exchange.micmac import PLACEHOLDER, read_ground_points, read_measures
 
     try:
@@ -297,55 +317,59 @@ def _micmac(path: Path, _: Sizes) -> ControlFile:
     return ControlFile(path, "local", points, assumed=frozenset(points.names if assumed else ()))
 
 
-def _table(path: Path, sizes: Sizes) -> ControlFile:
+def _table(path: Path, sizes: Sizes, say: Catalogue) -> ControlFile:
     """A table of points under any heads that people write, with a row for each point or for each mark."""
     for heads in _MARKED_HEADS:
         with contextlib.suppress(InputNotFoundError):
-            table = read_under(path, heads, ("point", *"XYZ", *_IN_IMAGE))
-            return _of_marked_table(table, sizes, in_degrees(path, besides=_IN_IMAGE["x"] + _IN_IMAGE["y"]))
-    table = read_under(path, HEADS, ("point", *"XYZ"))
-    index, names = table.names("point")
-    first = np.unique(index, return_index=True)[1]
-    places = table.matrix("XYZ")
-    again = [row for row in range(len(table)) if first[index[row]] != row]
-    refused = tuple(
+            degrees = in_degrees(path, besides=_IN_IMAGE["x"] + _IN_IMAGE["y"])
+            given = read_places(path, heads, tuple(_IN_IMAGE), degrees=degrees)
+            return _of_marked_table(given, sizes, say, degrees=degrees)
+    degrees = in_degrees(path)
+    given = read_places(path, HEADS, (), degrees=degrees)
+    index, names = given.table.names("point")
+    first, places = np.unique(index, return_index=True)[1], given.places
+    again = tuple(
         _again(
-            table.place(row), names[index[row]], same=bool((places[row] == places[first[index[row]]]).all())
+            given.table.place(row),
+            names[index[row]],
+            say,
+            same=bool((places[row] == places[first[index[row]]]).all()),
         )
-        for row in again
+        for row in range(len(given.table))
+        if first[index[row]] != row
     )
-    return replace(_of_table(table, names, first, in_degrees(path)), refused=refused)
+    control = _of_table(given, names, first, degrees=degrees)
+    return replace(control, refused=(*(row.said(say) for row in given.refused), *again))
 
 
-def _of_marked_table(table: TextTable, sizes: Sizes, degrees: bool) -> ControlFile:
+def _of_marked_table(given: PlaceTable, sizes: Sizes, say: Catalogue, *, degrees: bool) -> ControlFile:
     """Points and marks of a table with a row for each mark; a row that contradicts one before is refused."""
+    table, places = given.table, given.places
     (index, names), (image, images) = table.names("point"), table.names("image")
     first = np.unique(index, return_index=True)[1]
-    places = table.matrix("XYZ")
     moved = np.any(places != places[first[index]], axis=1)
-    # As in all tables of other programs the corner of the upper-left pixel is (0, 0).
-    half = 0.5
-    pixels = table.matrix("xy") - half
-    marks, refused = dict[tuple[str, str], Mark](), list[str]()
+    pixels = from_corner(table.matrix("xy"))
+    marks, refused = dict[tuple[str, str], Mark](), [row.said(say) for row in given.refused]
     for row, (i, j, (x, y)) in enumerate(zip(image, index, pixels.tolist(), strict=True)):
         where, pair = table.place(row), (images[i], names[j])
         if moved[row]:
-            refused.append(f"{where}: {names[j]} has other coordinates than before")
+            refused.append(say("new.row_moved", place=where, name=names[j]))
         elif pair in marks:
-            refused.append(f"{where}: {names[j]} is marked in {images[i]} already")
+            refused.append(say("new.mark_again", place=where, point=names[j], image=images[i]))
         else:
             marks[pair] = Mark(*pair, x, y, (BY_HAND_PX, BY_HAND_PX), where)
     return replace(
-        _of_table(table, names, first, degrees),
+        _of_table(given, names, first, degrees=degrees),
         marks=named_after(marks.values(), sizes),
-        rows=len(table),
+        rows=len(table) + len(given.refused),
         refused=tuple(refused),
     )
 
 
-def _of_table(table: TextTable, names: tuple[str, ...], rows: Integers, degrees: bool) -> ControlFile:
+def _of_table(given: PlaceTable, names: tuple[str, ...], rows: Integers, *, degrees: bool) -> ControlFile:
     """Points of those rows of a table; what the table does not say of their precision is assumed."""
-    places, stated = table.matrix("XYZ")[rows], table.has("sX")
+    table, places = given.table, given.places[rows]
+    stated = table.has("sX")
     sigma = np.column_stack(
         [
             table.numbers(name, empty=assumed)[rows]
@@ -354,57 +378,83 @@ def _of_table(table: TextTable, names: tuple[str, ...], rows: Integers, degrees:
     )
     roles = ["control"] * len(names)
     if table.has("role"):
-        index, words = table.names("role")
-        roles = ["check" if words[k].lower() in CHECKS else "control" for k in index[rows]]
+        words = table.texts("role")
+        roles = ["check" if words[row].lower() in CHECKS else "control" for row in rows]
     sigma[np.array(roles) == "check"] = np.where(stated, sigma[np.array(roles) == "check"], np.inf)
     role = np.array([ROLES.index(name) for name in roles], dtype=np.int64)
     points = ObjectPoints(names, places, sigma, role)
-    system = "EPSG:4326" if degrees else ""
-    return ControlFile(table.path, system, points, assumed=frozenset(() if stated else names))
+    system = given.crs if given.crs and not degrees else "EPSG:4326" if degrees else ""
+    return ControlFile(
+        table.path,
+        system,
+        points,
+        assumed=frozenset(() if stated else names),
+        unit_m=given.unit_m,
+        height=given.height,
+        height_head=given.height_head,
+        level=given.level,
+    )
 
 
-def _bare_table(path: Path, sizes: Sizes) -> ControlFile:
+def _bare_table(path: Path, sizes: Sizes, say: Catalogue) -> ControlFile:
     """Points without a head, or with one between blanks: name, east, north, height, as many export them."""
     pictures = {called.casefold() for name in sizes for called in (name, Path(name).stem)}
     # Coordinates of a cloud, times of a track.
     entries, no_name = dict[str, PointEntry](), re.compile(r"[-+]?\d*[.,]\d+|\d+:.*")
     refused = list[str]()
     lines = read_lines(path)
-    heads = [cell.casefold() for cell in lines[0].text.split()] if lines else []
-    order = [next((k for k, cell in enumerate(heads) if cell in HEADS[key]), -1) for key in ("point", *"XYZ")]
-    if min(order) < 0:
-        order = list(range(4))
-    else:
+    heads = [shortened(folded(cell)) for cell in lines[0].text.split()] if lines else []
+    words = {key: set(map(folded, HEADS[key])) for key in ("point", *"XYZ")}
+    order = [next((k for k, cell in enumerate(heads) if cell in words[key]), -1) for key in words]
+    headed = min(order) >= 0
+    if headed:
         lines = lines[1:]
+    else:
+        order = list(range(4))
+    unreadable = list[PhotocalError]()
     for line in lines:
         between = next((mark for mark in "\t;," if line.text.count(mark) >= 3), None)
         given = [cell.strip().strip('"') for cell in line.text.split(between)]
         name, *cells = (given[k] for k in order) if len(given) > max(order) else given
         taken = name.casefold() in pictures or Path(name).suffix.lower() in SUFFIXES
-        if len(cells) < 3 or taken or no_name.fullmatch(name):
+        if taken or no_name.fullmatch(name):
             raise line.malformed("has no name, east, north and height of a point")
-        if between != ",":
-            cells = [cell.replace(",", ".") for cell in cells]
-        xyz = [number(cell, line.place, "coordinate") for cell in cells[:3]]
+        try:
+            if len(cells) < 3:
+                raise line.malformed("has no name, east, north and height of a point")
+            if between != ",":
+                cells = [cell.replace(",", ".") for cell in cells]
+            xyz = [number(cell, line.place, "coordinate") for cell in cells[:3]]
+        except PhotocalError as refusal:
+            # A first line that is no point heads columns of which nobody knows the order.
+            if line is lines[0]:
+                raise
+            unreadable.append(refusal)
+            continue
         if name in entries:
-            refused.append(_again(line.place, name, same=entries[name].xyz == xyz))
+            refused.append(_again(line.place, name, say, same=entries[name].xyz == xyz))
         else:
             entries[name] = PointEntry(name, "control", xyz, (ASSUMED_M[0], *ASSUMED_M))
+    # Of a list some rows are none of a point; of another text most are.
+    if unreadable and len(unreadable) * 3 > len(entries):
+        raise unreadable[0]
     if not entries:
         raise InputNotFoundError("has no points", where=path)
     points = object_points(entries.values())
-    return ControlFile(path, "", points, assumed=frozenset(points.names), refused=tuple(refused))
+    refused += map(str, unreadable)
+    assumed = frozenset(points.names)
+    return ControlFile(path, "", points, assumed=assumed, refused=tuple(refused), unordered=not headed)
 
 
-def _again(place: object, name: str, *, same: bool) -> str:
-    return f"{place}: {name} is listed twice" + ("" if same else ", with other coordinates before")
+def _again(place: object, name: str, say: Catalogue, *, same: bool) -> str:
+    return say("new.row_again" if same else "new.row_again_moved", place=place, name=name)
 
 
-def _marks(path: Path, sizes: Sizes) -> ControlFile:
+def _marks(path: Path, sizes: Sizes, _: Catalogue) -> ControlFile:
     return ControlFile(path, marks=read_any_marks(path, sizes))
 
 
-_READERS: dict[str, tuple[Callable[[Path, Sizes], ControlFile], ...]] = {
+_READERS: dict[str, tuple[Callable[[Path, Sizes, Catalogue], ControlFile], ...]] = {
     ".xml": (_one_file, _micmac, _other_program),
     ".json": (_one_file,),
     ".psz": (_other_program,),

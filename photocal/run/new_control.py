@@ -26,6 +26,7 @@ from photocal.measurement.mark_frames import (
     inside,
 )
 from photocal.measurement.marks import ControlMarks, in_map_system, named_after, unit_m
+from photocal.measurement.place_tables import FOOT_M, SURVEY_FOOT_M
 from photocal.measurement.position_files import map_places
 from photocal.run.folder_survey import ControlFile
 from photocal.run.project_checks import FAR_FROM_PICTURES_M, check_place, unfit
@@ -43,6 +44,7 @@ class NewProject:
         must be said before it can be run.
     crs, height: empty where they are still to be said.
     height_is_assumed: nobody says it, and no figure depends on it.
+    level: EPSG code of the system of heights that a table names.
     frame: of the pictures that the marks were made in.
     offers: frames that a person may choose from, where it is not plain that they are the stored ones.
     rows, rows_used: of a list with a row for each mark.
@@ -55,6 +57,7 @@ class NewProject:
     crs: str = ""
     height: str = ""
     height_is_assumed: bool = False
+    level: str = ""
     frame: MarkFrame = AS_STORED
     offers: tuple[dict[str, Any], ...] = ()
     rows: int = 0
@@ -115,8 +118,9 @@ def settle(
     say = catalogue(told.language)
     made = NewProject(crs=told.crs, height=told.height, say=say)
     if given is not None and given.points is not None:
-        made.points, made.assumed = given.points, given.assumed
-        made.rows, made.refused = given.rows, list(given.refused)
+        given = _as_stated(given, told, placed, made)
+        made.points, made.assumed = given.points or NO_POINTS, given.assumed
+        made.rows, made.refused, made.level = given.rows, list(given.refused), given.level
         _with_marks(made, given, told, facts, folder)
     matters = bool(placed) or flown
     # Nothing that is asked may be of no use.
@@ -135,6 +139,52 @@ def settle(
             made.missing.append(say("new.few_placing", n=made.fixing, fewest=policy.fewest_control))
     made.doubtful += [say("new.not_used", text=line) for line in made.refused]
     return made
+
+
+def _as_stated(
+    given: ControlFile, told: StatedControl, placed: Sequence[ImageFacts], made: NewProject
+) -> ControlFile:
+    """Control with the unit, the order and the kind of heights that its table states, or pictures show."""
+    points, say, file = given.points or NO_POINTS, made.say, given.file.name
+    if given.height:
+        named = {"head": given.height_head, "file": file}
+        if not told.height:
+            made.height = given.height
+            made.known.append(say("new.height_head", kind=say(f"new.kind.{given.height}"), **named))
+        elif told.height != given.height and told.height in HEIGHTS[:2]:
+            kind, other = (say(f"new.kind.{kind}") for kind in (told.height, given.height))
+            made.doubtful.append(say("new.height_contradicts", kind=kind, other=other, **named))
+    if given.unit_m != 1.0:
+        factor = np.where([[name in given.assumed] for name in points.names], 1.0, given.unit_m)
+        metres = replace(points, values=points.values * given.unit_m, sigma=points.sigma * factor)
+        if _in_metres(metres, told.crs or given.crs, placed):
+            points = metres
+            made.known.append(say("new.units_taken", file=file, unit=_unit_named(given.unit_m, say)))
+    if given.unordered and placed and not told.crs and not _system_of(points, placed):
+        turned = replace(points, values=points.values[:, [1, 0, 2]])
+        if _system_of(turned, placed):
+            points = turned
+            made.known.append(say("new.order_turned", file=file))
+    return replace(given, points=points)
+
+
+def _unit_named(metres: float, say: Catalogue) -> str:
+    named = {FOOT_M: "new.unit_foot", SURVEY_FOOT_M: "new.unit_survey_foot"}
+    return say(named[metres]) if metres in named else say("new.unit_of", metres=say.as_given(metres))
+
+
+def _in_metres(metres: ObjectPoints, crs: str, placed: Sequence[ImageFacts]) -> bool:
+    """Whether points are to be taken to metres: a map in feet takes them as they are."""
+    from pyproj.exceptions import CRSError
+
+    if crs == "local":
+        return True
+    if crs:
+        try:
+            return unit_m(system_of(crs)) == 1.0
+        except CRSError:
+            return False
+    return bool(placed and _system_of(metres, placed))
 
 
 def _with_place(made: NewProject, given: ControlFile | None, placed: Sequence[ImageFacts]) -> None:
@@ -176,9 +226,14 @@ def _with_marks(
         made.frame = told.frame
     elif here:
         found = choose_frame(list(here.values()), pictures, folder)
-        if not found.sure or found.chosen != AS_STORED:
+        if (not found.sure or found.chosen != AS_STORED) and not found.fractions:
             made.offers = found.offers(list(here.values()), pictures)
-        made.frame = _frame(made, found, useful=_useful(here.values()))
+        if found.fractions and not found.sure:
+            made.asked.append(say("new.fractions_asked", n=len(here)))
+            made.refused += [say("new.mark_fraction", **_names(mark)) for mark in here.values()]
+            here = {}
+        else:
+            made.frame = _frame(made, found, useful=_useful(here.values()))
     stored = made.frame.stored(list(here.values()), pictures)
     kept = tuple(mark for mark in stored if inside(mark, pictures[mark.image].size_px))
     made.refused += [
@@ -207,6 +262,12 @@ def _frame(made: NewProject, choice: FrameChoice, *, useful: bool) -> MarkFrame:
     if choice.sure and choice.chosen == AS_STORED:
         return AS_STORED
     say = made.say
+    if choice.fractions:
+        fits = say("new.marks_inside")
+        if choice.pairs:
+            fits = say("new.marks_agree", n=choice.pairs, percent=say.fixed(100 * best.miss, 1))
+        made.known.append(say("new.marks_fractions", frame=choice.chosen.said(say), fits=fits))
+        return choice.chosen
     as_stored = say("new.marks_outside", n=own.outside) if own.outside else say("new.marks_unfit")
     if not np.isnan(own.miss):
         percent = say.fixed(100 * own.miss, 1)
@@ -243,6 +304,8 @@ def _with_system(made: NewProject, written: str, placed: Sequence[ImageFacts], *
             made.crs = text or "local"
     elif text:
         made.crs = _resolved(made, text, placed, placeable=placeable)
+    elif _is_geocentric(points.values):
+        made.crs = _resolved(made, "EPSG:4978", placed, placeable=placeable)
     elif placed and _turned(points.values[:, :2], placed) is not None:
         made.crs = _resolved(made, "EPSG:4326", placed, placeable=placeable)
     elif placed:
@@ -256,6 +319,15 @@ def _with_system(made: NewProject, written: str, placed: Sequence[ImageFacts], *
     else:
         made.crs = "local"
         made.missing.append(say("new.crs_needless"))
+
+
+def _is_geocentric(places: Floats) -> bool:
+    """Whether all places lie on the earth as geocentric coordinates: none of a map does, by its heights."""
+    # From the poles to the equator with heights up to 10 km, and no height of a map, m.
+    least_m, most_m, highest_m = 6.35e6, 6.39e6, 1e4
+    radius = np.linalg.norm(places, axis=1)
+    on_earth = (radius > least_m) & (radius < most_m) & (np.abs(places[:, 2]) > highest_m)
+    return bool(len(places) and on_earth.all())
 
 
 def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, placeable: bool) -> str:
@@ -380,6 +452,8 @@ def _with_geoid(made: NewProject, placed: Sequence[ImageFacts]) -> None:
         names = ", ".join(lacks)
         return say("new.grid_missing", names=names, crs=crs) if lacks else say("new.grid_here")
 
+    if made.level and not system_of(made.crs).is_compound:
+        made.crs = f"{made.crs}+{made.level}"
     if system_of(made.crs).is_compound:
         if lacks := missing_grids(made.crs, area):
             names = ", ".join(lacks)

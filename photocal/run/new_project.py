@@ -170,8 +170,13 @@ class _Text:
         self.listed = frame is not None or len({image.size_px for image in facts}) < len(self.cameras)
         self.placed = [image for image in facts if image.has_position]
         where = {path.name: path for path in _paths(seen, pictures)}
-        self.control = settle(given, told, facts, where, flown=bool(seen.logs))
+        stated = sum(np.isfinite(image.position_sigma_m).all() for image in self.placed)
+        told_of, placing, self.events = list[str](), facts, list[Path]()
+        if stated < len(facts) and not (seen.logs or seen.positions):
+            self.events, placing = self._events(told_of)
+        self.control = settle(given, told, placing, where, flown=bool(seen.logs))
         self.known, self.missing = self.control.known, self.control.missing
+        self.missing += told_of
         self.asked = self.control.asked
         self.crs, self.height = self.control.crs, self.control.height
         self.control_points, self.marks = self.control.points, self.control.marks
@@ -258,8 +263,7 @@ class _Text:
         yield f"folder = {_quoted(self._beside(self.pictures))}"
         if self.listed:
             yield f"pictures = {_quoted(PICTURES)}  # {say('new.pictures_listed')}"
-        events = self._events() if stated < count and not (self.seen.logs or self.seen.positions) else []
-        tables = self.seen.positions or events
+        tables = self.seen.positions or self.events
         if len(tables) == 1 and not self.seen.logs:
             comment = f"  # {say('new.positions_sigmas')}" if stated else ""
             yield f"positions = {_quoted(self._beside(tables[0]))}{comment}"
@@ -275,27 +279,32 @@ class _Text:
             sigma = CODE_LEVEL_M if not self.marks else (*CODE_LEVEL_M[:2], OTHER_SURFACE_M)
             yield f"position_sigma_m = {list(sigma)}  # {say('new.sigma_assumed')}"
 
-    def _events(self) -> list[Path]:
-        """Lists of exposures that may be those of the pictures; says why others are not used."""
+    def _events(self, missing: list[str]) -> tuple[list[Path], Sequence[ImageFacts]]:
+        """Lists of exposures that may be those of the pictures, and these with the positions of one alone.
+
+        missing: what is said of others, and why they are not used.
+        """
         names, usable, say = [image.name for image in self.facts], list[Path](), self.say
+        placing = self.facts
         for path in self.seen.events:
             try:
                 listed = list(map(read_positions(path, names), self.facts))
             except PhotocalError as refusal:
-                self.missing.append(say("new.not_used", text=refusal))
+                missing.append(say("new.not_used", text=refusal))
                 continue
             apart = [found for found in judge_pictures(listed) if found.code == "table-beside-pictures"]
             told = [f"{self._beside(path)}: {finding_text(one, say, plain)}" for one in apart]
             known = sum(bool(np.isfinite(image.table_apart_m)) for image in listed)
             if any(2 * found.figures["n"] > known for found in apart):
-                self.missing += [say("new.not_used", text=line) for line in told]
+                missing += [say("new.not_used", text=line) for line in told]
                 continue
             usable.append(path)
-            self.missing += told
+            placing = listed if len(usable) == 1 else self.facts
+            missing += told
             if own := [image.name for image in listed if image.altitude_kind != "table"]:
                 counted = {"n": len(listed) - len(own), "all": len(listed), "names": some_names(own, say)}
-                self.missing.append(say("new.positions_own", file=self._beside(path), **counted))
-        return usable
+                missing.append(say("new.positions_own", file=self._beside(path), **counted))
+        return usable, placing
 
     def _cameras(self) -> Iterator[str]:
         known = {stated.size_px: stated for stated in (self.given.cameras if self.given is not None else ())}

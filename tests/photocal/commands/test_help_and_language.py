@@ -40,6 +40,26 @@ def test_no_summary_is_cut(app: object, program: str, called: list[str]) -> None
     assert "..." not in printed.output.partition("Commands:")[2]
 
 
+@pytest.mark.parametrize("width", [80, 100])
+def test_no_help_is_cut_or_wider_than_the_terminal(monkeypatch: pytest.MonkeyPatch, width: int) -> None:
+    """Every text of every command stands there whole; three dots are those of arguments that repeat."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setenv("TERMINAL_WIDTH", str(width))
+    every, wrong = list(commands()), []
+    for one in every:
+        program, *called = one.name.split()
+        app = acquire_app if program == "acquire" else photocal_app
+        printed = CliRunner().invoke(app, [*called, "--help"])
+        shown = "".join(printed.output.split())
+        texts = [parameter.help for parameter in one.command.params if not parameter.hidden]
+        whole = all("".join((text or "").split()) in shown for text in (one.summary, *texts))
+        wide = [line for line in printed.output.splitlines() if len(line) > width]
+        if printed.exit_code or not whole or wide or "\N{HORIZONTAL ELLIPSIS}" in printed.output:
+            wrong.append((one.name, whole, wide))
+    assert len(every) > 40
+    assert wrong == []
+
+
 # Each costs the help of a command more than a tenth of a second.
 HEAVY = ("numpy", "scipy", "numba", "pyarrow", "matplotlib", "pydantic", "rich")
 HELP_S = 0.25
@@ -147,3 +167,20 @@ def test_check_prints_its_tables_in_the_language(
         assert other(key) not in printed.stdout
     # Product minus reference, 0.031 m the other way round in the table.
     assert f"-0{say.mark}031" in printed.stdout
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ([], "all grids of EPSG:31982 are here"),
+        (["--lang", "pt-BR"], "todas as grades de EPSG:31982 estão aqui"),
+    ],
+)
+def test_fetch_grids_speaks_the_language(
+    asked: list[str], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A system of the plane needs no grid."""
+    for name in ("LC_ALL", "LC_MESSAGES", "LANG"):
+        monkeypatch.delenv(name, raising=False)
+    printed = CliRunner().invoke(photocal_app, ["fetch-grids", "EPSG:31982", "--dry-run", *asked])
+    assert (printed.exit_code, printed.stdout.strip()) == (0, said)

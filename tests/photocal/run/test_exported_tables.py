@@ -119,8 +119,8 @@ def test_marks_under_the_heads_of_other_programs(tmp_path: Path, photocal: Photo
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("export.csv", written("{p};{E};{N};{Z}", UNKNOWN), "has no column point (found nr."),
-        ("export.txt", written("{p};{E};{N};{Z}", UNKNOWN), "has no column point (found nr."),
+        ("export.csv", written("{p};{E};{N};{Z}", UNKNOWN), "has no column X (found nr."),
+        ("export.txt", written("{p};{E};{N};{Z}", UNKNOWN), "has no column X (found nr."),
         ("werte.txt", written("{p} {E} {N}"), "werte.txt"),
         ("notes.txt", "Flown on 12 March, 10 pictures.\nWind 3 m/s\n", None),
     ],

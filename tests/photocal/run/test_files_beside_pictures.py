@@ -163,6 +163,20 @@ def test_lists_of_exposures_are_opened_before_they_are_written_down(
     assert all(line.startswith("not used: ") for line in lists) or used
 
 
+def test_heights_are_asked_where_a_list_of_exposures_alone_places_the_pictures(tmp_path: Path) -> None:
+    """Positions of a receiver are compared with the heights of control, whoever has written them."""
+    for k in range(len(POINTS)):
+        Image.new("L", (160, 120)).save(tmp_path / f"MAX_{k:04d}.JPG")
+    (tmp_path / "101FTASK_Timestamp.mrk").write_text("".join(map(event, range(4), POINTS)))
+    rows = [f"P{k},{x:.3f},{y:.3f},{z:.3f}" for k, (x, y, z) in enumerate(map(utm, POINTS))]
+    (tmp_path / "control.csv").write_text("\n".join(["name,E,N,Z", *rows]) + "\n")
+    made = new_project(tmp_path)
+    assert made.asked == ["height: whether the control points' heights are ellipsoidal or orthometric"]
+    text = made.path.read_text()
+    assert 'positions = "101FTASK_Timestamp.mrk"' in text
+    assert 'crs = "EPSG:32633"' in text
+
+
 def test_lenses_of_one_gimbal_are_no_rig_where_the_card_was_copied_flat(tmp_path: Path) -> None:
     for k, place in enumerate(POINTS):
         for lens in "WT":

@@ -1,0 +1,328 @@
+"""Control tables as spreadsheets of several countries and people's habits leave them, by `photocal new`."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+from pyproj import Transformer
+
+from photocal.measurement.marks import read_marks
+from tests.photocal.run.test_exported_tables import Photocal
+from tests.photocal.run.test_new_project import picture
+
+# Curitiba, at the pictures of the folder, in the zone EPSG:32722.
+POINTS = {
+    "G1": (677864.123, 7184231.456, 912.4),
+    "G2": (677880.5, 7184250.25, 911.913),
+    "G3": (677850.75, 7184270.0, 913.001),
+    "G4": (677870.0, 7184290.125, 912.222),
+}
+TO_DEGREES = Transformer.from_crs("EPSG:32722", "EPSG:4326", always_xy=True)
+TO_EARTH = Transformer.from_crs("EPSG:32722", "EPSG:4978", always_xy=True)
+FOOT_M = 0.3048
+UNSTATED = "whether the control points' heights are ellipsoidal or orthometric"
+
+
+def table(head: str, row: str, *, comma: bool = False, below: str = "") -> str:
+    """Write a head, a row for each point, and what stands below."""
+    lines = []
+    for k, (name, (east, north, up)) in enumerate(POINTS.items()):
+        longitude, latitude = TO_DEGREES.transform(east, north)
+        x, y, z = TO_EARTH.transform(east, north, up)
+        values = {"lat": f"{latitude:.10f}", "lon": f"{longitude:.10f}", "k": k + 1}
+        values |= {"dms": sexagesimal(latitude, "N", "S"), "dmo": sexagesimal(longitude, "E", "O")}
+        values |= {
+            "ft_e": f"{east / FOOT_M:.4f}",
+            "ft_n": f"{north / FOOT_M:.4f}",
+            "ft_z": f"{up / FOOT_M:.4f}",
+        }
+        values |= {"mm_e": f"{east * 1000:.0f}", "mm_n": f"{north * 1000:.0f}", "mm_z": f"{up * 1000:.0f}"}
+        grouped = {"g_e": f"{east:,.3f}", "g_n": f"{north:,.3f}"}
+        values |= {key: v.translate(str.maketrans(",.", ".,")) for key, v in grouped.items()}
+        values |= {"x": f"{x:.4f}", "y": f"{y:.4f}", "z": f"{z:.4f}"}
+        line = row.format(p=name, E=east, N=north, Z=up, **values)
+        lines.append(line.replace(".", ",") if comma else line)
+    return "\n".join([head, *lines]) + "\n" + below
+
+
+def sexagesimal(value: float, positive: str, negative: str) -> str:
+    """Degrees, minutes and seconds with the letter of the hemisphere."""
+    seconds = round(abs(value) * 3600, 6)
+    degrees, minutes = int(seconds // 3600), int(seconds % 3600 // 60)
+    return f"{degrees}° {minutes:02d}' {seconds % 60:09.6f}\" {positive if value > 0 else negative}"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for k in range(3):
+        picture(tmp_path / f"a{k}.jpg", 20.0 * k)
+    return tmp_path
+
+
+def new(photocal: Photocal, folder: Path, *options: str) -> dict[str, list[str]]:
+    said = photocal("new", folder, "--json", *options)
+    assert said.code == 0, said.err
+    found: dict[str, list[str]] = json.loads(said.out)
+    return found
+
+
+def control(folder: Path) -> dict[str, tuple[float, ...]]:
+    with (folder / "control.csv").open(encoding="utf-8") as rows:
+        return {row["point"]: tuple(float(row[axis]) for axis in "XYZ") for row in csv.DictReader(rows)}
+
+
+def key(folder: Path, name: str) -> str:
+    lines = (folder / "project.toml").read_text(encoding="utf-8").splitlines()
+    return next(line for line in lines if line.startswith(f"{name} = ")).split('"')[1]
+
+
+# File, encoding, text, and the kind of heights that it states ("?": it does not).
+TABLES = {
+    "Brazil: a title, a total, Windows accents": (
+        "pontos.csv",
+        "cp1252",
+        "Levantamento GNSS;;;;\n;;;;\n"
+        + table(
+            "Ponto;Descrição;Norte (m);Este (m);Altitude Elipsoidal (m)",
+            "{p};marco;{N};{E};{Z}",
+            comma=True,
+            below="Total;4;;;\n",
+        ),
+        "ellipsoidal",
+    ),
+    "Brazil: groups of thousands": (
+        "pontos.csv",
+        "utf-8",
+        table("Ponto;E;N;H ortom.", "{p};{g_e};{g_n};{Z}"),
+        "orthometric",
+    ),
+    "Brazil: degrees, minutes, seconds": (
+        "pontos.csv",
+        "cp1252",
+        table("Ponto;Latitude;Longitude;Altitude geométrica", "{p};{dms};{dmo};{Z}", comma=True),
+        "ellipsoidal",
+    ),
+    "Germany: a row of units, a byte order mark": (
+        "Passpunkte.csv",
+        "utf-8-sig",
+        table(
+            "Punktnr.;Rechtswert;Hochwert;Ellipsoidische Höhe\n;[m];[m];[m]", "{p};{E};{N};{Z}", comma=True
+        ),
+        "ellipsoidal",
+    ),
+    "France": (
+        "points.csv",
+        "cp1252",
+        table("Matricule;X (m);Y (m);Altitude orthométrique", "{p};{E};{N};{Z}", comma=True),
+        "orthometric",
+    ),
+    "Italy: UTF-16": (
+        "punti.csv",
+        "utf-16",
+        table("Nome punto;Est;Nord;Quota ellissoidica", "{p};{E};{N};{Z}", comma=True),
+        "ellipsoidal",
+    ),
+    "Spain": (
+        "puntos.csv",
+        "cp1252",
+        table("Nº;Coord. X;Coord. Y;Cota ortométrica", "{p};{E};{N};{Z}", comma=True),
+        "orthometric",
+    ),
+    "feet": (
+        "points.csv",
+        "utf-8",
+        table("Point,Northing (ft),Easting (ft),Elevation (ft)", "{p},{ft_n},{ft_e},{ft_z}"),
+        "?",
+    ),
+    "feet without brackets": (
+        "points.csv",
+        "utf-8",
+        table("Point,Northing_ft,Easting_ft,Elev_ft", "{p},{ft_n},{ft_e},{ft_z}"),
+        "?",
+    ),
+    "millimetres": (
+        "points.csv",
+        "utf-8",
+        table("Name;East [mm];North [mm];Height [mm]", "{p};{mm_e};{mm_n};{mm_z}"),
+        "?",
+    ),
+    "north before east, without heads": (
+        "points.txt",
+        "utf-8",
+        table("", "{p},{N},{E},{Z},GCP{k}").lstrip(),
+        "?",
+    ),
+    "empty rows, a mean": (
+        "points.csv",
+        "utf-8",
+        table("name,E,N,Z\n", "{p},{E},{N},{Z}\n,,,", below="\n\nMean,677866.3,7184260.4,912.4\n"),
+        "?",
+    ),
+    "geocentric beside degrees": (
+        "points.csv",
+        "utf-8",
+        table("name,longitude,latitude,height,x,y,z", "{p},{lon},{lat},{Z},{x},{y},{z}"),
+        "ellipsoidal",
+    ),
+    "a map beside degrees": (
+        "points.csv",
+        "utf-8",
+        table("name,longitude,latitude,height,x,y,z", "{p},{lon},{lat},{Z},{E},{N},{Z}"),
+        "?",
+    ),
+    "Greek letters": (
+        "points.csv",
+        "utf-8",
+        table("Point,φ,λ,h ellip", "{p},{lat},{lon},{Z}"),
+        "ellipsoidal",
+    ),
+    "both kinds of heights that are one": (
+        "survey.csv",
+        "utf-8",
+        table("Name,Easting,Northing,Elevation,Ellipsoidal height", "{p},{E},{N},{Z},{Z}"),
+        "ellipsoidal",
+    ),
+    "units in the cells": (
+        "points.csv",
+        "utf-8",
+        table("Point,Easting,Northing,Height", "{p},{E} m,{N} m,{Z} m"),
+        "?",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", list(TABLES))
+def test_a_table_as_people_make_it_is_read(folder: Path, photocal: Photocal, kind: str) -> None:
+    name, encoding, text, height = TABLES[kind]
+    (folder / name).write_bytes(text.encode(encoding))
+    found = new(photocal, folder)
+    assert list(control(folder)) == list(POINTS)
+    for one, place in zip(POINTS.values(), control(folder).values(), strict=True):
+        assert place == pytest.approx(one, abs=0.0006)
+    assert key(folder, "crs") == "EPSG:32722"
+    assert key(folder, "height") == height
+    assert any(UNSTATED in line for line in found["asked"]) is (height == "?")
+
+
+@pytest.mark.parametrize(
+    ("head", "height"),
+    [
+        ("Ellip. Height", "ellipsoidal"),
+        ("Ellipsoidal height", "ellipsoidal"),
+        ("ellipsoidal_height [m]", "ellipsoidal"),
+        ("h ellip", "ellipsoidal"),
+        ("HAE", "ellipsoidal"),
+        ("Altura elipsoidal", "ellipsoidal"),
+        ("Altitude ortométrica", "orthometric"),
+        ("Orthometric", "orthometric"),
+        ("Ortho. Height", "orthometric"),
+        ("Elevation (EGM96)", "orthometric"),
+        ("Height above MSL", "orthometric"),
+        ("Elevation", "?"),
+        ("Height (geoid model)", "?"),
+    ],
+)
+def test_a_head_says_the_kind_of_heights(folder: Path, photocal: Photocal, head: str, height: str) -> None:
+    (folder / "p.csv").write_text(
+        table(f"Name,Easting,Northing,Geoid separation,{head}", "{p},{E},{N},-3.1,{Z}")
+    )
+    found = new(photocal, folder)
+    assert key(folder, "height") == height
+    assert control(folder)["G1"][2] == 912.4
+    assert any(f"by the head {head!r}" in line for line in found["found"]) is (height != "?")
+
+
+def test_what_a_person_says_of_heights_stands_before_the_head(folder: Path, photocal: Photocal) -> None:
+    (folder / "p.csv").write_text(table("Name,Easting,Northing,Orthometric height", "{p},{E},{N},{Z}"))
+    found = new(photocal, folder, "--height", "ellipsoidal")
+    assert key(folder, "height") == "ellipsoidal"
+    assert any("'Orthometric height' of p.csv says orthometric" in line for line in found["doubtful"])
+
+
+def test_feet_stay_in_a_map_in_feet(folder: Path, photocal: Photocal) -> None:
+    """EPSG:2263 counts in US survey feet; a point in New York, by its definition in the register."""
+    place = Transformer.from_crs("EPSG:4326", "EPSG:2263", always_xy=True).transform(-74.0, 40.7)
+    east, north = (f"{value:.4f}" for value in place)
+    (folder / "p.csv").write_text(f"Name,Easting (ftUS),Northing (ftUS),Elev (ftUS)\nG1,{east},{north},100\n")
+    for name in folder.glob("*.jpg"):
+        name.unlink()
+    picture(folder / "a0.jpg", None)
+    found = new(photocal, folder, "--crs", "EPSG:2263")
+    assert key(folder, "crs") == "EPSG:32618"
+    east_m, north_m, up_m = control(folder)["G1"]
+    degrees = Transformer.from_crs("EPSG:32618", "EPSG:4326", always_xy=True).transform(east_m, north_m)
+    assert degrees == pytest.approx((-74.0, 40.7), abs=1e-7)
+    assert up_m == pytest.approx(100 * 1200 / 3937, abs=1e-3)
+    assert not any("as its heads state" in line for line in found["found"])
+
+
+def test_the_system_that_a_table_names_is_taken(folder: Path, photocal: Photocal) -> None:
+    text = table("Name,Easting,Northing,Elevation,CS name", "{p},{E},{N},{Z},SIRGAS 2000 / UTM zone 22S")
+    (folder / "survey.csv").write_text(text)
+    new(photocal, folder)
+    assert key(folder, "crs") == "EPSG:31982"
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("G5,677850,7184270,", "line 6: Z of G5 is empty"),
+        ("G5,677850,about 7184270,912", "Y of G5 is 'about 7184270', not a number as in the other rows"),
+        (",677850,7184270,912", "line 6: the point has no name"),
+        ("Average,677850,7184270,912", "line 6: Average is computed from the other rows"),
+        ("G1,677850,7184270,912", "line 6: G1 is listed twice, with other coordinates before"),
+    ],
+)  # fmt: skip
+def test_a_row_that_is_no_point_is_named_and_costs_nothing_else(
+    folder: Path, photocal: Photocal, row: str, said: str
+) -> None:
+    (folder / "p.csv").write_text(table("name,E,N,Z", "{p},{E},{N},{Z}", below=f"{row}\n"))
+    found = new(photocal, folder)
+    assert control(folder) == POINTS
+    (left,) = (line for line in found["missing"] + found["doubtful"] if "not used" in line)
+    assert left.endswith(said)
+
+
+def test_rows_that_are_no_points_are_named_in_portuguese(folder: Path, photocal: Photocal) -> None:
+    text = table("name,E,N,Z", "{p},{E},{N},{Z}", below="G1,1,2,3\nG5,1,2,\nSoma,1,2,3\n")
+    (folder / "p.csv").write_text(text)
+    found = new(photocal, folder, "--lang", "pt-BR")
+    left = [line.split(": ", 2)[2] for line in found["missing"] + found["doubtful"] if "não usado" in line]
+    assert sorted(left) == [
+        "G1 aparece duas vezes, antes com outras coordenadas",
+        "Soma é calculado a partir das outras linhas",
+        "falta Z de G5",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "head"), [("marks.txt", "Filename,GCP Label,PixelX,PixelY"), ("marks.csv", "image,point,x,y")]
+)
+def test_marks_as_fractions_become_pixels(folder: Path, photocal: Photocal, name: str, head: str) -> None:
+    """Pictures have 160 by 120 pixels; the middle of the first pixel is (0, 0)."""
+    (folder / "points.csv").write_text(table("name,E,N,Z", "{p},{E},{N},{Z}"))
+    (folder / name).write_text(f"{head}\na0.jpg,G1,0.5,0.25\na1.jpg,G1,0.625,0.75\na0.jpg,G2,0.125,0.5\n")
+    found = new(photocal, folder)
+    written = "marks.csv" if name != "marks.csv" else "read-marks.csv"
+    assert [(mark.image, mark.x, mark.y) for mark in read_marks(folder / written)] == [
+        ("a0.jpg", 79.5, 29.5),
+        ("a1.jpg", 99.5, 89.5),
+        ("a0.jpg", 19.5, 59.5),
+    ]
+    assert any("between 0 and 1, taken as fractions of width and height" in line for line in found["found"])
+
+
+def test_results_of_mmvii_are_called_so(folder: Path, photocal: Photocal) -> None:
+    (folder / "Ori").mkdir()
+    pose = '<CameraPose><NameImage>"a0.jpg"</NameImage></CameraPose>'
+    written = f'<Root><Type>"MMVII_Serialization"</Type><Data>{pose}</Data></Root>'
+    (folder / "Ori" / "Ori-PerspCentral-a0.jpg.xml").write_text(written)
+    found = new(photocal, folder)
+    (left,) = (line for line in found["missing"] if "not used" in line)
+    assert "Ori has what MMVII has computed, which is no observation" in left
+    said = photocal("adopt", folder, "-o", folder / "out")
+    assert said.code != 0
+    assert "has orientations of MMVII, whose form is not read" in said.err
