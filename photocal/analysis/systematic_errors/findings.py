@@ -17,7 +17,8 @@ from photocal.analysis.estimates import Estimates, f_test, scaled
 from photocal.analysis.systematic_errors.search import Search, VarianceComponent, camera_estimates
 from photocal.base.policy import policy
 from photocal.findings.finding import Figure, Finding, Severity, Size
-from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.distortion import projected, undistorted
 from photocal.hypotheses.findings import (
     Slips,
     asked_of,
@@ -177,16 +178,22 @@ def of_jackknife(search: Search) -> list[Finding]:
         if not np.any(ratio > policy.unstable):
             continue
         worst = 0 if ratio[0] > policy.unstable else int(np.nanargmax(ratio))
+        adjusted, name = camera.with_values(search.first.state.cameras[k]), PARAMETERS[worst]
+        after = search.jackknife_last.standard_error[k]
+        error, corrected, usual = (
+            _readable(adjusted, name, float(one[worst])) for one in (before, after, formal)
+        )
         figures: dict[str, Figure] = {
             "camera": camera.id,
-            "parameter": PARAMETERS[worst],
-            "error": float(before[worst]),
-            "unit": camera.unit,
-            "corrected": float(search.jackknife_last.standard_error[k][worst]),
-            "formal": float(formal[worst]),
+            "parameter": name,
+            "error": error[0],
+            "unit": error[1],
+            "corrected": corrected[0],
+            "formal": usual[0],
         }
         effect = float(before[0]) if worst == 0 else None
-        clauses = ["once_corrected" if search.corrected else "as_adjusted"]
+        clauses = ["in_corner"] if error[2] else []
+        clauses.append("once_corrected" if search.corrected else "as_adjusted")
         # Whoever carries a parameter is told the larger standard deviation; heights of this block are not.
         ground: float | None = None
         severity: Severity = "note"
@@ -197,9 +204,23 @@ def of_jackknife(search: Search) -> list[Finding]:
             clauses.append("only_carried" if moved < policy.small_move else "heights_hang")
             if moved >= policy.small_move and ground >= asked_of(search.first).ground_m:
                 severity = "doubtful"
-        size = Size(float(before[worst]), camera.unit, None, effect, ground)
+        size = Size(error[0], error[1], None, effect, ground)
         listed.append(Finding("jackknife", severity, camera.id, figures, tuple(clauses), size))
     return listed
+
+
+def _readable(camera: Camera, name: str, amount: float) -> tuple[float, str, bool]:
+    """An amount of a parameter in a unit that can be read; of a coefficient what it moves in the corner."""
+    if name == "readout":
+        return 1e3 * amount, "ms", False
+    if name in ("c", "x0", "y0"):
+        return amount, camera.unit, False
+    corner = 0.5 * np.array(camera.size_px) * camera.pitch
+    ray = np.append(undistorted(camera, corner[None])[0] / camera.value("c"), -1.0)[None]
+    moved = projected(camera.changed(**{name: camera.value(name) + amount}), ray) - projected(camera, ray)
+    px = float(np.linalg.norm(moved)) / camera.pitch[0]
+    # A lens may end before the corner.
+    return (px, "px", True) if np.isfinite(px) else (amount, camera.unit, False)
 
 
 def _indispensable(search: Search, k: int) -> list[Finding]:

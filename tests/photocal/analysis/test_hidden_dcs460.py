@@ -18,6 +18,7 @@ from photocal.block.network import assemble
 from photocal.findings.finding import Finding
 from photocal.findings.verdict import judge
 from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.distortion import undistorted
 from tests.photocal.analysis.findings import said, sized
 
 Rows = list[dict[str, str]]
@@ -104,6 +105,20 @@ def test_jackknife(told_nothing: Search) -> None:
     found = of_kind(findings(told_nothing), "jackknife")
     assert "moves c by 0.058 mm" in said(found)
     assert "by 0.017 once corrected" in said(found)
+
+
+def test_a_coefficient_that_depends_on_images_is_told_in_pixels_of_the_corner(told_nothing: Search) -> None:
+    """K1 moves the corner by K1 r^3 (Brown 1971), with r without distortion."""
+    (own,) = told_nothing.first.network.cameras
+    errors = np.zeros_like(told_nothing.jackknife_first.standard_error)
+    errors[0, PARAMETERS.index("K1")] = 2e-5
+    before = replace(told_nothing.jackknife_first, standard_error=errors)
+    found = of_kind(findings(replace(told_nothing, jackknife_first=before)), "jackknife")
+    adjusted = own.with_values(told_nothing.first.state.cameras[0])
+    radius = np.linalg.norm(undistorted(adjusted, 0.5 * np.array([own.size_px]) * own.pitch))
+    assert sized(found).figure == pytest.approx(2e-5 * radius**3 / own.pitch[0], rel=0.03)
+    assert sized(found).unit == "px"
+    assert "(jackknife standard error), in the corner of the image" in said(found)
 
 
 def test_the_corrected_adjustment_is_the_one_of_square_pixels(
