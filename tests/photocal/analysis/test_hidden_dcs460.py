@@ -108,7 +108,7 @@ def test_jackknife(told_nothing: Search) -> None:
 
 
 def test_a_coefficient_that_depends_on_images_is_told_in_pixels_of_the_corner(told_nothing: Search) -> None:
-    """K1 moves the corner by K1 r^3 (Brown 1971), with r between that of the picture and without distortion."""
+    """K1 moves the corner by K1 r^3 (Brown 1971), r between those of picture and ideal."""
     (own,) = told_nothing.first.network.cameras
     errors = np.zeros_like(told_nothing.jackknife_first.standard_error)
     errors[0, PARAMETERS.index("K1")] = 2e-5
