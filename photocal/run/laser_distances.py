@@ -35,7 +35,7 @@ _RAYS = 3
 
 
 @dataclass(frozen=True)
-class Target:
+class LaserTarget:
     """Three points about the target of a laser, and the surface there.
 
     corners: points of the network; distance_m: along the axis to the plane through them.
@@ -118,7 +118,7 @@ def _too_few(shots: int) -> Finding:
     return untested(CODE, "few-laser-shots", figures)
 
 
-def target_of(network: Network, state: State, image: int) -> Target | None:
+def target_of(network: Network, state: State, image: int) -> LaserTarget | None:
     """Find what the laser of an image hit: None without points about the axis of its camera.
 
     In an image the reciprocal depths of a plane are linear: what the nearest points depart from that by is
@@ -155,4 +155,4 @@ def target_of(network: Network, state: State, image: int) -> Target | None:
     met = planes_ahead(q[corners][None])
     rough = np.hypot(SMOOTH_M, np.sqrt(np.sum(rest**2) / (NEIGHBOURS - 3)) / plane[0] ** 2)
     sigma = rough * np.sqrt(1.0 + np.sum(met.share[0] ** 2))
-    return Target(seen[corners], float(met.distance[0]), float(sigma))
+    return LaserTarget(seen[corners], float(met.distance[0]), float(sigma))
