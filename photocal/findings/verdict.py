@@ -5,7 +5,7 @@ The same words stand on the screen, in reports, on a certificate and in JSON.
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any, Literal
 
@@ -22,6 +22,8 @@ from photocal.findings.texts import Catalogue, finding_json, plain, remedy_text,
 Answer = Literal["yes", "reserved", "no", "not-placed", "held", "unknown"]
 # Whoever reads more than that reads nothing; so many that are alike are one line, fewer each say their own.
 MOST_LINES, ALIKE = 7, 3
+# Causes that no camera can have estimated that was held because the block does not bear it.
+_ESTIMATED = ("principal-distance", "principal-point")
 _ORDER = ("refused", "grave", "doubtful", "consequence")
 # What concerns only a camera that is carried elsewhere: this block absorbed it.
 _OF_CAMERA = frozenset((
@@ -112,7 +114,7 @@ class Verdict:
 
 def judge(findings: Iterable[Finding], known: Known = Known()) -> Verdict:
     """Judge over all findings: what is grave withholds acceptance, what is doubtful is a reservation."""
-    listed = _once(findings)
+    listed = held_and_contradicted(_once(findings))
     deciding = _deciding(listed)
     grave = [f for f in deciding if f.severity in ("refused", "grave")]
     decided = tuple(dict.fromkeys(f.code for f in grave or deciding))
@@ -134,9 +136,31 @@ def judge(findings: Iterable[Finding], known: Known = Known()) -> Verdict:
     )
 
 
+def held_and_contradicted(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
+    """Name once what a block both contradicts and does not determine: nobody can be told to estimate it."""
+    of_held = {f.subject for f in findings if f.code == "camera-held"}
+    contradicted = {
+        camera
+        for f in findings
+        if f.code in _ESTIMATED
+        for camera in of_held
+        if f"[{camera}]" in str(f.figures.get("numbers"))
+    }
+    if not contradicted:
+        return findings
+    return tuple(
+        replace(f, severity="consequence")
+        if f.code == "camera-held" and f.subject in contradicted
+        else replace(f, remedy="camera-held")
+        if f.code in _ESTIMATED
+        else f
+        for f in findings
+    )
+
+
 def every_line(findings: Iterable[Finding], images: int = 0) -> tuple[VerdictLine, ...]:
     """Give all lines of a verdict, and behind them those of the notes, however many there are."""
-    listed = _once(findings)
+    listed = held_and_contradicted(_once(findings))
     notes = [finding for finding in listed if finding.severity == "note"]
     return (*_lines(_deciding(listed), images), *_lines(notes, images))
 

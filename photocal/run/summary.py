@@ -14,7 +14,14 @@ from photocal.findings.digits import with_sigma
 from photocal.findings.finding import Finding
 from photocal.findings.listed import Findings
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, findings_of, plain
-from photocal.findings.verdict import Verdict, judge, read_verdict, verdict_json, verdict_text
+from photocal.findings.verdict import (
+    Verdict,
+    held_and_contradicted,
+    judge,
+    read_verdict,
+    verdict_json,
+    verdict_text,
+)
 from photocal.geometry.camera import PARAMETERS
 from photocal.hypotheses.table import FAULTS, Fault, fault, searched
 from photocal.measurement.maker_camera import tag_finding
@@ -37,8 +44,6 @@ _JUDGED_FROM_PERCENT = 200.0 / 3.0
 _EXCUSES = ("ppk-not-fixed",)
 # Stages in which causes are sought.
 _OF_CAUSES = ("georeferencing", "analysis")
-# Causes that no camera can have estimated that was held because the block does not bear it.
-_OF_CAMERA = ("principal-distance", "principal-point")
 _ORDER = ("refused", "grave", "doubtful", "consequence", "note")
 _NOT_CHECKED = Finding("not-checked", "doubtful", stage="certificate")
 
@@ -154,31 +159,9 @@ def causes_first(
     codes = {finding.code for finding in findings}
     symptoms = {code for cause in table if cause.code in codes for code in cause.symptoms}
     findings = tuple(replace(f, severity="consequence") if f.code in symptoms else f for f in findings)
-    findings = _held_and_contradicted(findings)
+    findings = held_and_contradicted(findings)
     order = ("warning", "consequence", "note")
     return tuple(sorted(findings, key=lambda finding: order.index(kind(finding))))
-
-
-def _held_and_contradicted(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
-    """Name once what a block both contradicts and does not determine: nobody can be told to estimate it."""
-    of_held = {f.subject for f in findings if f.code == "camera-held"}
-    contradicted = {
-        camera
-        for f in findings
-        if f.code in _OF_CAMERA
-        for camera in of_held
-        if f"[{camera}]" in str(f.figures.get("numbers"))
-    }
-    if not contradicted:
-        return findings
-    return tuple(
-        replace(f, severity="consequence")
-        if f.code == "camera-held" and f.subject in contradicted
-        else replace(f, remedy="camera-held")
-        if f.code in _OF_CAMERA
-        else f
-        for f in findings
-    )
 
 
 def _not_judged(finding: Finding, cause: str) -> Finding:
