@@ -100,24 +100,24 @@ class Removals:
         self._room = np.empty_like(self._matrix)
 
     def without(self, out: Flags, near: float) -> Near | None:
-        """Minimum without images, or the way there; None when the rest is not determined.
+        """Minimum without images, or the way there as `chords`; None when the rest is not determined.
 
         Where the factor does not come near, the equations are set up again at the place that it led to.
         """
         found = self.stepped(out, near)
-        if found is None or found.reached:
+        if found is None or found.reached or not np.isfinite(found.chi_squared):
             return found
+        again = None
         with suppress(IllPosedError):
-            return Removals(factored(self._problem.network, found.state)).stepped(out, near) or found
-        return found
+            again = Removals(factored(self._problem.network, found.state)).stepped(out, near)
+        return again if again is not None and again.chi_squared <= found.chi_squared else found
 
     def stepped(self, out: Flags, near: float) -> Near | None:
         """Where steps with one factor lead without images; None when the rest is not determined."""
         with self._rest(out) as rest:
             if rest is None:
                 return None
-            found = chords(rest.problem, rest.normal, rest.moved, near, rest.length, equations=rest.equations)
-            return found if np.isfinite(found.chi_squared) else None
+            return chords(rest.problem, rest.normal, rest.moved, near, rest.length, equations=rest.equations)
 
     def scored(self, out: Flags, fields: Floats, near: float) -> Score | None:
         """Normal equations of further unknowns without images, where steps with one factor lead.

@@ -6,7 +6,7 @@ from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.near import Removals
 from photocal.adjustment.state import State
 from photocal.base.arrays import Flags, Floats
-from photocal.base.errors import IllPosedError
+from photocal.base.errors import IllPosedError, NotConvergedError
 
 # Beyond this many images, neighbours are left out together, in so many groups: the standard error is then
 # itself good to a fifth, 1 / sqrt(2 (m - 1)), where three times the formal one is worth a line.
@@ -25,16 +25,17 @@ def groups_of(fit: AdjustedNetwork) -> list[Flags]:
 
 
 def state_without(removals: Removals, out: Flags) -> State:
-    """Leave images out of a minimum: where two set-ups of the equations lead.
-
-    A standard error of m removals is good to 1 / sqrt(2 (m - 1)); what is left of the way is less.
+    """Leave images out of a minimum: the minimum, or where two set-ups of the equations lead towards it.
 
     returns: as large as before; what was left out keeps its values.
     raises IllPosedError: when the rest is not determined.
+    raises NotConvergedError: when the first step leads behind a camera.
     """
     found = removals.without(out, NEAR)
     if found is None:
         raise IllPosedError(f"nothing determines the block without {int(out.sum())} of {len(out)} images")
+    if not np.isfinite(found.chi_squared):
+        raise NotConvergedError(f"a step without {int(out.sum())} of {len(out)} images leads behind a camera")
     return found.state
 
 

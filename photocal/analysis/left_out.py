@@ -19,9 +19,6 @@ from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS
 from photocal.hypotheses.fields import FEWEST_IMAGES, LEFT, PARTS, change_of, course, order_of
 
-# Squared distance, in units of the standard deviations, from which no figure of the report changes.
-_NEARLY = 0.1
-
 
 @dataclass(frozen=True)
 class Checks:
@@ -70,7 +67,7 @@ def without_parameter(fit: AdjustedNetwork, camera: int, parameter: int) -> Near
         found = with_held(fit.factored, column, -float(current[camera, parameter]), near)
         # Its prior goes with it; infinite where there is none.
         of_prior = float((interior.values[parameter] / interior.prior_sigma[parameter]) ** 2)
-        if found.reached or found.left < _NEARLY:
+        if found.reached:
             return replace(found, chi_squared=found.chi_squared - of_prior)
     estimated, values, start = interior.estimated.copy(), interior.values.copy(), current.copy()
     estimated[parameter], values[parameter], start[camera, parameter] = False, 0.0, 0.0

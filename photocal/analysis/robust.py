@@ -72,6 +72,8 @@ def _without_each(
     for k, out in enumerate(groups):
         try:
             values[k] = state_without(removals, out).cameras
+        except NotConvergedError:
+            (values[k],), _ = cameras_without(fit, [out])
         except IllPosedError:
             possible[k] = False
         done()

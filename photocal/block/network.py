@@ -340,29 +340,26 @@ def plane_per_unit(block: Block) -> Floats:
 
 def _relations(block: Block, position: Integers) -> Relations:
     """Observations between points, with the points' places in the network."""
-    named = block.relations.points
-    lost = named[position[named] < 0]
-    if len(lost):
-        name = block.points.names[lost[0]]
-        raise InputMalformedError(
-            f"point {name} has a distance, an angle or the like but no ray",
-            "measure it in the images or remove the observation",
-            where=f"point {name}",
-        )
+    _require_seen(block, position, block.relations.points, "has a distance, an angle or the like")
     return block.relations.moved(position)
 
 
 def _lasers(block: Block, position: Integers) -> LaserDistances:
     """Laser distances, with the points' places in the network."""
-    lost = block.lasers.corners[position[block.lasers.corners] < 0]
+    _require_seen(block, position, block.lasers.points, "is a corner of a laser distance")
+    return replace(block.lasers, corners=position[block.lasers.corners])
+
+
+def _require_seen(block: Block, position: Integers, named: Integers, what: str) -> None:
+    """Refuse observations of points that no image shows."""
+    lost = named[position[named] < 0]
     if len(lost):
         name = block.points.names[lost[0]]
         raise InputMalformedError(
-            f"point {name} is a corner of a laser distance but has no ray",
-            "name a point that images show",
+            f"point {name} {what} but has no ray",
+            "measure it in the images or remove the observation",
             where=f"point {name}",
         )
-    return replace(block.lasers, corners=position[block.lasers.corners])
 
 
 def _datum_points(block: Block, position: Integers) -> Integers | None:

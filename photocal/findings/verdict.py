@@ -114,7 +114,7 @@ class Verdict:
 
 def judge(findings: Iterable[Finding], known: Known = Known()) -> Verdict:
     """Judge over all findings: what is grave withholds acceptance, what is doubtful is a reservation."""
-    listed = held_and_contradicted(_once(findings))
+    listed = _once(findings)
     deciding = _deciding(listed)
     grave = [f for f in deciding if f.severity in ("refused", "grave")]
     decided = tuple(dict.fromkeys(f.code for f in grave or deciding))
@@ -160,7 +160,7 @@ def held_and_contradicted(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
 
 def every_line(findings: Iterable[Finding], images: int = 0) -> tuple[VerdictLine, ...]:
     """Give all lines of a verdict, and behind them those of the notes, however many there are."""
-    listed = held_and_contradicted(_once(findings))
+    listed = _once(findings)
     notes = [finding for finding in listed if finding.severity == "note"]
     return (*_lines(_deciding(listed), images), *_lines(notes, images))
 

@@ -119,8 +119,10 @@ def read_places(
         under = dict(zip("XYZ", rows[filled.pop(0)][1:], strict=True))
         stated = {axis: stated[axis] or _UNITS.get(folded(under[axis]).replace(" ", "")) for axis in "XYZ"}
     parsed = [
-        _values([rows[k][1 + axis] for k in filled], table.separator, degrees=degrees and axis < 2)
-        for axis in range(3)
+        _values(
+            [rows[k][1 + n] for k in filled], table.separator, table.heads[axis] if degrees and n < 2 else ""
+        )
+        for n, axis in enumerate("XYZ")
     ]
     kept, refused = list[int](), list[RefusedRow]()
     for n, row in enumerate(filled):
@@ -192,7 +194,7 @@ def _as_ellipsoidal(path: Path, table: TextTable, rows: Sequence[int], heights: 
     for name in whole.columns.column_names:
         if _kind_of(name)[0] == "ellipsoidal":
             cells = [str(whole.columns[name][row].as_py() or "").strip() for row in rows]
-            beside = _values(cells, table.separator, degrees=False)
+            beside = _values(cells, table.separator)
             # A millimetre of rounding.
             if all(
                 v is not None and abs(v - z) < 0.002 for v, z in zip(beside, heights.tolist(), strict=True)
@@ -254,12 +256,19 @@ def _refusal(row: Sequence[str], values: Sequence[float | None]) -> tuple[str, d
     return None if name else ("nameless", {})
 
 
-def _values(cells: Sequence[str], separator: str, *, degrees: bool) -> list[float | None]:
-    """Numbers of a column; None for cells that are none."""
-    plain = [_BLANKS.sub("", cell) if not degrees else cell for cell in cells]
+def _values(cells: Sequence[str], separator: str, angles: str = "") -> list[float | None]:
+    """Numbers of a column; None for cells that are none.
+
+    angles: head of a column of longitudes or latitudes.
+    """
+    if angles:
+        # O is Ost in German, and west in languages of Latin.
+        west = "WO" if not re.match("lange|laenge|geogr", folded(angles)) else "W"
+        return [_degrees(cell, west) for cell in cells]
+    plain = [_BLANKS.sub("", cell) for cell in cells]
     grouped = separator == ","
     comma = any(_COMMA.fullmatch(cell) and not (grouped and _GROUPED.fullmatch(cell)) for cell in plain)
-    return [_degrees(cell) if degrees else _value(cell, comma=comma) for cell in plain]
+    return [_value(cell, comma=comma) for cell in plain]
 
 
 def _value(cell: str, *, comma: bool) -> float | None:
@@ -278,8 +287,11 @@ def _value(cell: str, *, comma: bool) -> float | None:
     return value if math.isfinite(value) and abs(value) < 1e11 else None
 
 
-def _degrees(cell: str) -> float | None:
-    """Degrees, with minutes and seconds or as a decimal number, and a letter of the hemisphere."""
+def _degrees(cell: str, west: str) -> float | None:
+    """Degrees, with minutes and seconds or as a decimal number, and a letter of the hemisphere.
+
+    west: letters of the western one.
+    """
     if match := _SEXAGESIMAL.fullmatch(cell):
         minutes, seconds = float(match["min"]), float(match["sec"].replace(",", "."))
         if minutes >= 60 or seconds >= 60:
@@ -290,12 +302,7 @@ def _degrees(cell: str) -> float | None:
         value = float(match["value"].replace(",", "."))
     else:
         return None
-    return _of_hemisphere(value, match)
-
-
-def _of_hemisphere(value: float, match: re.Match[str]) -> float | None:
     letters = [letter.upper() for letter in (match["before"], match["after"]) if letter]
     if len(letters) > 1 or (letters and value < 0):
         return None
-    # Oeste and ouest are west; Leste is east.
-    return -value if letters and letters[0] in "SWO" else value
+    return -value if letters and letters[0] in f"S{west}" else value

@@ -146,7 +146,8 @@ def overall(run: AnalysedRun, known: tuple[DerivedFigures, ...], warnings: tuple
     analysed = run.analysis.findings if run.analysis is not None else ()
     plausible = (finding for of in known for finding in of.findings)
     diverged = () if result.converged else (Finding("not-converged", "grave"),)
-    found = (*diverged, *warnings, tested(result, warnings), *plausible, *analysed)
+    # What the stages tell of the analysis is known beside all else: it counts before the analysis alone.
+    found = (*diverged, *analysed, *plausible, tested(result, warnings), *warnings)
     return judge(found, known_of(result))
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from photocal.adjustment.adjusted import fit
 from photocal.adjustment.network import Network
+from photocal.analysis import lens_models
 from photocal.analysis.left_out import Checks
 from photocal.analysis.lens_models import better_lens, lens_fits, of_lenses
 from photocal.findings.texts import catalogue, finding_text
@@ -52,6 +53,21 @@ def test_a_fisheye_that_brown_cannot_hold_is_named() -> None:
         text = finding_text(finding, catalogue(language))
         assert words in text
         assert "equidistant" in text
+
+
+@pytest.mark.parametrize("true", [("equidistant", -0.03), ("pix4d-fisheye", -0.1), ("rational", 2e-4)])
+def test_a_lens_that_is_not_tried_is_none_that_would_be_named(
+    true: tuple[Model, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Against fitting every one, whatever one step foretells."""
+    model, k1 = true
+    network = measured(lens(model, K1=k1, K2=0.01 if model == "equidistant" else 1e-6))
+    fitted = fit(given_lens(network, "brown-ideal", ("K1", "K2", "K3", "P1", "P2")))
+    some = better_lens(lens_fits(fitted, 0, NO_CHECKS, lambda: None))
+    monkeypatch.setattr(lens_models, "_PROMISING", -np.inf)
+    every = lens_fits(fitted, 0, NO_CHECKS, lambda: None)
+    best = better_lens(every)
+    assert (some and some.model) == (best and best.model)
 
 
 def test_no_other_lens_where_the_given_one_took_the_pictures() -> None:

@@ -9,12 +9,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from photocal.adjustment import solver
+from photocal.adjustment.adjust import adjust
 from photocal.adjustment.adjusted import AdjustedNetwork, fit, left_without, lowest, without_images
 from photocal.adjustment.factored import Factored, factored
 from photocal.adjustment.kernels.residuals import evaluate
 from photocal.adjustment.near import Removals
 from photocal.adjustment.network import Network, Relations
 from photocal.adjustment.normal import values_of
+from photocal.adjustment.readout import with_moving_images
+from photocal.adjustment.removed import groups_of, standard_error, state_without
 from photocal.adjustment.score import score
 from photocal.adjustment.solver import Near
 from photocal.analysis import left_out as of_parameters
@@ -22,6 +26,7 @@ from photocal.analysis.left_out import Checks, without_parameter
 from photocal.analysis.outcome import analyse_network
 from photocal.geometry.camera import PARAMETERS
 from photocal.hypotheses.fields import ray_fields
+from tests.photocal import flights
 from tests.photocal.analysis.aerial import Flight, fly
 
 
@@ -82,6 +87,28 @@ def test_images_are_taken_out_of_networks_of_any_kind(made: Callable[[], Network
     anew = lowest(*without_images(network, whole.state, out)).state.cameras
     sigma = np.sqrt(np.diagonal(whole.solution.camera_covariance, axis1=1, axis2=2))
     assert (np.abs(nearby.state.cameras - anew) <= 1e-3 * sigma).all()
+
+
+@pytest.mark.parametrize(("case", "seed", "vibration_deg"), [("positions", 2, 0.03), ("attitudes", 3, 0.1)])
+def test_images_that_vibrate_are_left_out_as_well_as_a_standard_error_needs(
+    case: flights.Case, seed: int, vibration_deg: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With one step by each of two factors, where that may not be the minimum yet.
+
+    A standard error of m removals is good to 1 / sqrt(2 (m - 1)).
+    """
+    motion = {"readout_s": 0.03, "sigma_px": 0.3, "vibration_deg": vibration_deg}
+    _, network = flights.case(case, seed, images=20, points=300, **motion)  # type: ignore[arg-type]
+    network, solution, _ = with_moving_images(network, adjust(network))
+    whole = fit(network, solution.state)
+    removals, groups = Removals(whole.factored), groups_of(whole)
+    with monkeypatch.context() as hurried:
+        hurried.setattr(solver, "CHORDS", 1)
+        steps = np.array([state_without(removals, out).cameras[0] for out in groups])
+    anew = np.array([lowest(*without_images(network, whole.state, out)).state.cameras[0] for out in groups])
+    free = network.cameras[0].estimated
+    ratio = standard_error(steps)[free] / standard_error(anew)[free]
+    assert (np.abs(ratio - 1.0) < 1.0 / np.sqrt(2.0 * (len(groups) - 1))).all()
 
 
 def uncorrected() -> Network:

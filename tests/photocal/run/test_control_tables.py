@@ -10,6 +10,8 @@ import pytest
 from pyproj import Transformer
 
 from photocal.measurement.marks import read_marks
+from photocal.measurement.place_tables import read_places
+from photocal.run.folder_survey import HEADS
 from tests.photocal.run.test_exported_tables import Photocal
 from tests.photocal.run.test_new_project import picture
 
@@ -326,3 +328,14 @@ def test_results_of_mmvii_are_called_so(folder: Path, photocal: Photocal) -> Non
     said = photocal("adopt", folder, "-o", folder / "out")
     assert said.code != 0
     assert "has orientations of MMVII, whose form is not read" in said.err
+
+
+@pytest.mark.parametrize(
+    ("heads", "longitude"),
+    [("Punkt;Länge;Breite;Höhe", 13.4), ("Ponto;Longitude;Latitude;Altitude", -13.4)],
+)
+def test_o_is_east_in_german_and_west_in_portuguese(heads: str, longitude: float, tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(f"{heads}\nA;13°24'00\" O;52°30'00\" N;34,5\n", encoding="utf-8")
+    (place,) = read_places(path, HEADS, (), degrees=True).places
+    assert place == pytest.approx([longitude, 52.5, 34.5])
