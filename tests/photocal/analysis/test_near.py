@@ -98,7 +98,7 @@ def test_images_that_vibrate_are_left_out_as_well_as_a_standard_error_needs(
     A standard error of m removals is good to 1 / sqrt(2 (m - 1)).
     """
     motion = {"readout_s": 0.03, "sigma_px": 0.3, "vibration_deg": vibration_deg}
-    _, network = flights.case(case, seed, images=20, points=300, **motion)  # type: ignore[arg-type]
+    _, network = flights.case(case, seed, images=20, points=300, **motion)
     network, solution, _ = with_moving_images(network, adjust(network))
     whole = fit(network, solution.state)
     removals, groups = Removals(whole.factored), groups_of(whole)
