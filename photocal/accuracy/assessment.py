@@ -104,6 +104,12 @@ class Assessment:
     space: LengthStatistics | None = None
     similarity: statistics.SimilarityTrend | None = None
 
+    def __repr__(self) -> str:
+        """Say what `photocal check` prints of a table of differences."""
+        from photocal.accuracy.output import to_text
+
+        return to_text(self)
+
 
 def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], question: Question) -> Assessment:
     """Judge a product at its check points.

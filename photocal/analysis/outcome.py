@@ -50,8 +50,11 @@ from photocal.analysis.systematic_errors.search import (
 from photocal.analysis.systematic_errors.shifts import MOST_JOINT, ImageShift
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.findings.document import text
 from photocal.findings.finding import Finding
 from photocal.findings.harm import without_metres
+from photocal.findings.texts import catalogue
+from photocal.findings.verdict import judge, verdict_section
 from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.hypotheses.findings import Slips, asked_of, no_slips
@@ -276,8 +279,12 @@ class Analysis:
     result_sha256: str = ""
     c_by_height: dict[str, float | None] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """Say the verdict, as `photocal analyse` prints it."""
+        return text((verdict_section(judge(self.findings), catalogue("en")),))
 
-@dataclass(frozen=True, kw_only=True)
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Outcome(Analysis):
     """An analysis with the adjustments behind it.
 

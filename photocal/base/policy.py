@@ -104,6 +104,9 @@ class Policy:
     common_height_m: float = 0.02
     # The largest coefficient of refraction that is taken for one: it is 0.17 in the standard atmosphere.
     refraction: float = 0.5
+    # Rows of a frame are read in no less, s: published electronic read-outs begin at 8 ms, curtains of
+    # focal-plane shutters take 2 to 4 ms. What looks like less is more probably another scale of y.
+    least_readout_s: float = 0.002
     # A correlation of parameters that is called strong.
     strong_correlation: float = 0.8
     # A calibration of a usual network gives c to better than a thousandth; five times that share is weak.

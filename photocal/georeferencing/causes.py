@@ -31,6 +31,7 @@ from photocal.geometry.frames import combined_factor
 from photocal.geometry.resection import intersect
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.georeferencing.methods import as_mounted, without_georeference, without_weak_images
+from photocal.hypotheses.causes import coarsely_placed, of_rays
 from photocal.hypotheses.control import slips
 from photocal.hypotheses.findings import Slips, no_slips
 from photocal.hypotheses.search import SystematicErrors, straightened, systematic_errors
@@ -133,6 +134,12 @@ class Mistyped:
     slips: tuple[str, ...]
 
 
+def by_navigation_fixes(block: Block) -> bool:
+    """Whether nothing but navigation fixes, as pictures state them, places a block."""
+    otherwise = len(block.positions.image) > 0 or bool(block.points.of_role("control").any())
+    return coarsely_placed(block.images.sigma[:, 3:], otherwise=otherwise)
+
+
 def causes_of(
     block: Block, first: AdjustedNetwork | None = None, table: tuple[Fault, ...] = FAULTS
 ) -> tuple[SystematicErrors | None, Separation | None]:
@@ -146,6 +153,7 @@ def causes_of(
     first = first if mounted is plain else None
     if block.datum == "free":
         return None, None
+    table = of_rays(table) if by_navigation_fixes(block) else table
     if not len(mounted.positions.image):
         mounted = without_georeference(mounted)
     if first is None:

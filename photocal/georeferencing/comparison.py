@@ -265,6 +265,12 @@ class BlockCheck:
     mistyped: tuple[Mistyped, ...] = ()
     slips: Slips = no_slips
 
+    def __repr__(self) -> str:
+        """Say the verdict and the figures of each method, as `photocal check` prints them."""
+        from photocal.georeferencing.output import to_text
+
+        return to_text(self, details=False)
+
     def of(self, method: Method) -> Judged | None:
         """Give one method's result; None where the block does not allow it."""
         return next((judged for judged in self.judged if judged.result.method == method), None)
@@ -316,8 +322,6 @@ def check_block(
     to_given = (lambda local: local) if typed.frame == "local" else block_frame(typed).to_given
     slips = typed_slips(typed, block.points.names, block.points.values, to_given)
     mistyped = mistyped_of(systematic, slips)
-    if coarsely_placed(block):
-        systematic = None
     if not judged:
         reasons = "; ".join(f"{method}: {refused[method]}" for method in METHODS)
         wrong = "".join(f"; control point {point.point} contradicts the others" for point in mistyped)
@@ -376,11 +380,3 @@ def _ground_pixel(block: Block, result: Georeferenced) -> float | None:
     per_metre = np.array([interior.pitch[0] / interior.value("c") for interior in block.cameras])[camera]
     size = per_metre * np.linalg.norm(result.exposures[seen.image, 3:] - place[seen.point], axis=1)
     return float(np.nanmedian(size)) if np.isfinite(size).any() else None
-
-
-def coarsely_placed(block: Block) -> bool:
-    """Whether nothing but navigation fixes, as pictures state them, places a block."""
-    sigma = block.images.sigma[:, 3:]
-    stated = sigma[np.isfinite(sigma).all(axis=1) & (sigma > 0.0).all(axis=1)]
-    none_else = not len(block.positions.image) and not block.points.of_role("control").any()
-    return bool(none_else and len(stated) and np.median(stated[:, :2]) > policy.coarse_m)

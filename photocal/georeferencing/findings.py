@@ -14,8 +14,8 @@ from photocal.base.policy import policy
 from photocal.block.model import Block
 from photocal.findings.finding import FACTOR, Figure, Finding, Severity, untested
 from photocal.geometry.strips import lines_of_places
-from photocal.georeferencing.causes import Separation
-from photocal.georeferencing.comparison import BlockCheck, Differences, Judged, coarsely_placed
+from photocal.georeferencing.causes import Separation, by_navigation_fixes
+from photocal.georeferencing.comparison import BlockCheck, Differences, Judged
 from photocal.georeferencing.methods import Method
 from photocal.hypotheses.findings import cause_findings
 
@@ -73,10 +73,12 @@ _RATIO_DIRECT = math.sqrt(float(special.chdtri(3, 0.001)) / 3.0)
 def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
     """Give what was found: mistakes and errors first, each under one name, then what follows of them."""
     listed = [*check.plausibility]
-    if check.systematic is not None:
-        listed += cause_findings(check.systematic, check.slips, _target(check))
-    elif coarsely_placed(check.block):
+    causes = () if check.systematic is None else cause_findings(check.systematic, check.slips, _target(check))
+    if by_navigation_fixes(check.block):
+        # That their errors persist is known beforehand.
+        causes = tuple(finding for finding in causes if finding.code != "positions-share-errors")
         listed.append(Finding("coarse-positions", "note"))
+    listed += causes
     # The points of all methods are one family: check and control of each share its level (Bonferroni).
     groups = sum(len(judged.differences) for judged in check.judged if judged.result.predicted)
     for judged in check.judged:

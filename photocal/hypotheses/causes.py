@@ -32,6 +32,21 @@ _FOUND = float(special.ndtri(1.0 - policy.significance / 2.0) + special.ndtri(po
 _POWERS = {"K1": 2, "K2": 4, "K3": 6, "K4": 8, "P1": 1, "P2": 1, "P3": 3, "P4": 5, "B1": 0, "B2": 0}
 
 
+def coarsely_placed(sigma: Floats, *, otherwise: bool) -> bool:
+    """Whether nothing but navigation fixes, as pictures state them, places a block.
+
+    sigma (n, 3): of the positions of the pictures, m; infinite where none is stated.
+    otherwise: whether control or observed positions place it.
+    """
+    stated = sigma[np.isfinite(sigma).all(axis=1) & (sigma > 0.0).all(axis=1)]
+    return bool(not otherwise and len(stated) and np.median(stated[:, :2]) > policy.coarse_m)
+
+
+def of_rays(table: tuple[Fault, ...] = FAULTS) -> tuple[Fault, ...]:
+    """Give what rays alone tell: errors of navigation fixes look like all else, a drift of c among it."""
+    return tuple(entry for entry in table if entry.each == "field" and entry.code != "c-drift")
+
+
 @dataclass(frozen=True, eq=False)
 class Cause:
     """One hypothesis about a network.

@@ -94,7 +94,7 @@ class Selection:
         significant = [
             cause for cause, tested in tries.items() if tested.significant and _noteworthy(cause, tested)
         ]
-        ranked = sorted(significant, key=lambda one: -tries[one].value)
+        ranked = sorted(significant, key=lambda one: -_probable(one, tries[one]))
         for first in range(0, len(ranked), _ASKED):
             some = ranked[first : first + _ASKED]
             self._ask_images({cause: tries[cause] for cause in some})
@@ -218,6 +218,15 @@ def _possible(cause: Cause, tested: Hypothesis) -> bool:
         # The earth has one: it was neglected, or applied to coordinates that know of it.
         return abs(abs(amount) - 1.0) <= unsure
     return abs(amount) > unsure if cause.field is None else abs(amount) - unsure <= cause.field.most
+
+
+def _probable(cause: Cause, tested: Hypothesis) -> float:
+    """Give Schwarz's value, less what speaks against a read-out that no shutter makes."""
+    if cause.field is None or cause.field.code != "rolling-shutter" or cause.field.unit != "s":
+        return tested.value
+    readout = tested.estimates[0]
+    fast = readout.correction + policy.times_999 * readout.sigma < policy.least_readout_s
+    return tested.value - (policy.as_good if fast else 0.0)
 
 
 def _noteworthy(cause: Cause, tested: Hypothesis) -> bool:

@@ -295,7 +295,7 @@ def pictures_turned(names: Sequence[str], values: Floats, gimbal: Floats) -> lis
     if not turned.any() or np.mean(np.abs(along[known]) > SAME_WAY) < MOST:
         return []
     listed = tuple(names[k] for k in np.flatnonzero(turned).tolist())
-    return [Finding("pictures-turned", "doubtful", figures={"names": listed, "count": len(listed)})]
+    return [Finding("pictures-turned", "doubtful", figures={"images": listed, "count": len(listed)})]
 
 
 def reweighted(images: Images, values: Floats, *, shifted: bool) -> Images:

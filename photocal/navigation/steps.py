@@ -22,7 +22,7 @@ from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.options import ExposureOptions, PpkOptions, ReceiverOptions
 from photocal.navigation.ppk import PpkResult, options_for, process, with_antennas
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
-from photocal.navigation.ppk_report import ppk_figures, write_ppk
+from photocal.navigation.ppk_report import ppk_figures, ppk_text, write_ppk
 from photocal.navigation.rig import CameraOnBody, camera_axes
 from photocal.project import read_project
 
@@ -43,6 +43,10 @@ class Ppk:
 
     result: PpkResult
     figures: dict[str, Any]
+
+    def __repr__(self) -> str:
+        """Say what `photocal ppk` prints."""
+        return ppk_text(self.figures)
 
     def write(self, folder: str | Path) -> None:
         """Write `trajectory.csv`, `ppk.json` and `ppk.png` into a folder that is made.
@@ -76,6 +80,10 @@ class ExposuresOfFlight:
     rig: CameraOnBody
     camera: str
     crs: str | None
+
+    def __repr__(self) -> str:
+        """Say in one line how many there are, and in what system."""
+        return f"{self.run.exposures!r}; camera {self.camera}, {self.crs or 'local coordinates'}"
 
     def write(self, folder: str | Path) -> dict[str, Any]:
         """Write `exposures.csv`, `images.csv`, GeoPackage and picture; give the figures of `exposures.json`.

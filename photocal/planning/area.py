@@ -24,6 +24,13 @@ class Area:
     latitude_deg: Floats
     longitude_deg: Floats
 
+    def __repr__(self) -> str:
+        """Say in one line how many corners it has, and where it lies."""
+        latitude, longitude = self.centre_deg
+        return (
+            f"Area: {len(self.latitude_deg)} corners about latitude {latitude:.5f}, longitude {longitude:.5f}"
+        )
+
     @property
     def centre_deg(self) -> tuple[float, float]:
         """Middle of the extent: latitude and longitude, degrees."""

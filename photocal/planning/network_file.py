@@ -365,7 +365,7 @@ class NetworkPlan:
         """Sigma of a length in the image, px; None for a coefficient."""
         return self.camera.sigma_of(name) / self.camera.pitch[0] if name in ("c", "x0", "y0") else None
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Say it for people."""
         made = self.figures()
         rays, worst, station = made["rays_per_point"], made["worst"], made["station_sigma"]

@@ -225,7 +225,7 @@ class Plan:
             figures["simulated"] = simulated_adjustment.to_json(self.precision, self.survey)
         return figures
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Say it for people."""
         lines = [to_text(self.flight, self.targets, self.findings)]
         if self.wind is not None:
@@ -361,6 +361,13 @@ class FlightErrors:
 
     promised_m: Floats
     errors_m: Floats
+
+    def __repr__(self) -> str:
+        """Set what was found beside what was promised."""
+        found, promised = (
+            " ".join(f"{1e3 * v:.1f}" for v in axes) for axes in (self.found_m, self.promised_m)
+        )
+        return f"{len(self.errors_m)} flights: errors of X, Y, Z {found} mm, promised {promised} mm"
 
     @property
     def found_m(self) -> Floats:

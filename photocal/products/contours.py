@@ -60,7 +60,7 @@ class Contours:
             "crs": _name(self.crs) or None,
         }
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Say it for people."""
         made = self.figures()
         text = (

@@ -72,7 +72,7 @@ class Orthophoto:
             figures["displacement_m"] = {"rms": field_.rms, "largest": field_.largest}
         return figures
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Say it for people."""
         grid, field_ = self.grid, self.displacement
         count = grid.columns * grid.rows

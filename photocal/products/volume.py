@@ -177,7 +177,7 @@ class Volume:
     figures: dict[str, Any]
     text: str
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Say it for people."""
         return self.text
 

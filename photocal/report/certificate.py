@@ -20,6 +20,8 @@ from photocal.report.stored_analysis import AnalysedRun
 from photocal.results.result import Result
 
 WORDS = ("table", "figure", "page", "of", "contents")
+# What nobody looked for is not known to be absent.
+_NOT_ANALYSED = Finding("not-analysed", "doubtful")
 
 
 def certificate(
@@ -143,7 +145,7 @@ def _checks(run: AnalysedRun, say: Catalogue) -> Highlight:
 def overall(run: AnalysedRun, known: tuple[DerivedFigures, ...], warnings: tuple[Finding, ...]) -> Verdict:
     """Give the one verdict over everything that processing, adjustment and analysis found."""
     result = run.result
-    analysed = run.analysis.findings if run.analysis is not None else ()
+    analysed = (_NOT_ANALYSED,) if run.analysis is None else run.analysis.findings
     plausible = (finding for of in known for finding in of.findings)
     diverged = () if result.converged else (Finding("not-converged", "grave"),)
     # What the stages tell of the analysis is known beside all else: it counts before the analysis alone.

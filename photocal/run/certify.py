@@ -31,7 +31,7 @@ class Certificate:
     document: Document
     files: tuple[Path, ...]
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Say number, highlights and files."""
         shown = self.document
         return "\n".join(

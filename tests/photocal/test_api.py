@@ -156,6 +156,17 @@ def test_things_print_as_short_tables() -> None:
         assert len(repr(thing).splitlines()) < 15
 
 
+def test_what_steps_give_prints_as_their_commands_do(block: photocal.Block, result: photocal.Result) -> None:
+    """The verdict once, and no arrays."""
+    checked, analysed = photocal.check(block), photocal.analyse(block, result)
+    for thing in (checked, analysed):
+        assert repr(thing).count("Verdict") == 1
+        assert "array(" not in repr(thing)
+        assert len(repr(thing).splitlines()) < 40
+    area = photocal.area_from_corners([(-51.41, -22.12), (-51.40, -22.12), (-51.40, -22.13)], "field")
+    assert repr(area) == "Area: 3 corners about latitude -22.12500, longitude -51.40500"
+
+
 def test_arrays_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"shape \(4, 2\)"):
         photocal.block_of_arrays(np.zeros((4, 2)), np.zeros((1, 4, 2)), (4, 3), sigma_px=1.0, sigma_m=None)

@@ -264,7 +264,7 @@ class Compared:
         pairs = [{"first": a, "second": b, **as_plain(test)} for (a, b), test in self.joint.pairs.items()]
         return made | {"joint": {"pairs": pairs, "together": as_plain(self.joint.together)}}
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Say it for people: a matrix for each method, then what differs."""
         level = 1.0 - policy.confidence
         told = (_text(self.asked, self.pairs, self.followed), joint_text(self.joint, level))

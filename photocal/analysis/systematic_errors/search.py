@@ -19,7 +19,10 @@ from photocal.analysis.systematic_errors import shifts
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.policy import policy
 from photocal.geometry.camera import PARAMETERS, plane_to_pixel
+from photocal.hypotheses.causes import coarsely_placed, of_rays
+from photocal.hypotheses.control import control_points
 from photocal.hypotheses.search import SystematicErrors, systematic_errors
+from photocal.hypotheses.table import FAULTS
 
 
 @dataclass(frozen=True)
@@ -233,7 +236,10 @@ class Search:
 
 def search(first: AdjustedNetwork, done: Callable[[], None] = lambda: None) -> Search:
     """Look for causes in an adjusted network, and at how its residuals scatter without them."""
-    causes = systematic_errors(first, done=done)
+    network = first.network
+    otherwise = len(network.positions.image) > 0 or len(control_points(network)) > 0
+    coarse = coarsely_placed(network.exposures.sigma[:, 3:], otherwise=otherwise)
+    causes = systematic_errors(first, table=of_rays() if coarse else FAULTS, done=done)
     last = causes.last if causes.adequate else first
     positions = shifts.position_shift(first)
     before = jackknife(first, done)

@@ -17,7 +17,7 @@ from photocal.georeferencing.findings import block_findings
 from photocal.georeferencing.methods import Degradation, of_method, with_attitude_angles
 from photocal.georeferencing.output import to_text
 from tests.evidence.judging import chance, fly, judged
-from tests.independent.detectable import noncentrality
+from tests.independent.detectable import detectable, noncentrality, scaled
 from tests.independent.faults import BASE, CLEAN, NO_CONTROL, TEN, Fault, table
 from tests.independent.flights import Design, Errors, expected, world
 from tests.independent.folder import Placement, write_folder
@@ -65,6 +65,28 @@ def test_nothing_is_said_of_a_clean_flight(tmp_path: Path, design: Design) -> No
     assert found(check) == []
     assert {judged.result.method for judged in check.judged} >= {"direct", "integrated"}
     assert "biased" not in to_text(check)
+
+
+@pytest.mark.parametrize(
+    ("name", "twice", "first", "rival"),
+    [
+        ("y scale 1e-4", True, "y-scale", "rolling-shutter"),
+        ("rolling 3 ms", False, "rolling-shutter", "y-scale"),
+    ],
+)
+def test_rows_that_no_shutter_reads_so_fast_have_another_scale(
+    name: str, twice: bool, first: str, rival: str
+) -> None:
+    """One height and one speed: the rays cannot tell them apart, what shutters there are does."""
+    fault = FAULTS[name]
+    errors = fault.errors
+    if twice:
+        truth = world(fault.design, chance(fault.design, 0))
+        errors = scaled(errors, 2.0 * detectable(truth, fault.design, errors))
+    row = judged("fault", name, fault.design, errors, 0)
+    for command in ("check", "analyse"):
+        told = row.causes(command)[0]
+        assert (told.code, told.rivals) == (first, rival)
 
 
 def test_start_values_are_not_judged(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ def test_what_was_turned_is_named_and_nothing_else(
     for seed in range(10):
         gimbal = flown(seed, pitch_deg)
         found = pictures_turned(NAMES, stored(gimbal, turned, mount_deg), gimbal)
-        assert [one.figures["names"] for one in found] == [tuple(NAMES[k] for k in turned)] * bool(turned)
+        assert [one.figures["images"] for one in found] == [tuple(NAMES[k] for k in turned)] * bool(turned)
 
 
 def test_a_record_that_is_none_of_the_pictures_says_nothing() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,18 @@ def analysed(tmp_path_factory: pytest.TempPathFactory) -> AnalysedRun:
     adjust_block(DEMO, folder)
     analyse_run(folder, DEMO)
     return read_run(folder)
+
+
+def test_a_certificate_without_an_analysis_says_so(analysed: AnalysedRun) -> None:
+    """What nobody looked for is a reservation, on the page and in the record."""
+    bare, say = replace(analysed, analysis=None), catalogue("en")
+    particulars = read_particulars(None, DAY)
+    first = certificate(bare, particulars, say).verdicts[0]
+    assert any(line.startswith("No analysis") for line in first.lines)
+    assert record(bare, particulars, say)["verdict"]["code"] != "usable"
+    assert not any(
+        "No analysis" in line for line in certificate(analysed, particulars, say).verdicts[0].lines
+    )
 
 
 def words(document: Document) -> str:
