@@ -14,7 +14,12 @@ from photocal.adjustment.factored import covariance_column
 from photocal.adjustment.observations import mounting_equations
 from photocal.adjustment.removed import FEWEST
 from photocal.analysis.estimates import Estimates, f_test, scaled
-from photocal.analysis.systematic_errors.search import Search, VarianceComponent, camera_estimates
+from photocal.analysis.systematic_errors.search import (
+    Search,
+    VarianceComponent,
+    by_navigation_fixes,
+    camera_estimates,
+)
 from photocal.base.policy import policy
 from photocal.findings.finding import Figure, Finding, Severity, Size
 from photocal.geometry.camera import PARAMETERS, Camera
@@ -278,8 +283,8 @@ def of_stated(search: Search) -> list[Finding]:
         if group.factor < 1.0 and group.name in ("camera", "mounting", "head", "rig"):
             continue
         found = stated_sigma(group)
-        if group.name == "motion":
-            # Nobody states how much an image may move while it is read.
+        if group.name == "motion" or (group.name == "exposure" and by_navigation_fixes(search.first.network)):
+            # Nobody states how much an image may move while it is read, or how good a navigation fix is.
             found = replace(found, severity="note")
         listed.append(replace(found, figures={**found.figures, "camera": group.of}))
     return listed

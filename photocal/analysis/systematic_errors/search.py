@@ -234,11 +234,15 @@ class Search:
         return any(one.cause is not None and one.cause.field is not None for one in self.causes.errors)
 
 
+def by_navigation_fixes(network: Network) -> bool:
+    """Whether nothing but navigation fixes, as pictures state them, places a network."""
+    otherwise = len(network.positions.image) > 0 or len(control_points(network)) > 0
+    return coarsely_placed(network.exposures.sigma[:, 3:], otherwise=otherwise)
+
+
 def search(first: AdjustedNetwork, done: Callable[[], None] = lambda: None) -> Search:
     """Look for causes in an adjusted network, and at how its residuals scatter without them."""
-    network = first.network
-    otherwise = len(network.positions.image) > 0 or len(control_points(network)) > 0
-    coarse = coarsely_placed(network.exposures.sigma[:, 3:], otherwise=otherwise)
+    coarse = by_navigation_fixes(first.network)
     causes = systematic_errors(first, table=of_rays() if coarse else FAULTS, done=done)
     last = causes.last if causes.adequate else first
     positions = shifts.position_shift(first)
