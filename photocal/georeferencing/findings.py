@@ -76,11 +76,8 @@ def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
     causes = () if check.systematic is None else cause_findings(check.systematic, check.slips, _target(check))
     if by_navigation_fixes(check.block):
         # That their errors persist is known beforehand, and their sigmas are assumed.
-        causes = tuple(
-            finding
-            for finding in causes
-            if finding.code != "positions-share-errors" and finding.subject != "position"
-        )
+        expected = ("positions-share-errors", "unexplained")
+        causes = tuple(one for one in causes if one.code not in expected and one.subject != "position")
         listed.append(Finding("coarse-positions", "note"))
     listed += causes
     # The points of all methods are one family: check and control of each share its level (Bonferroni).
