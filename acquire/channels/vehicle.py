@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.channels.decoded import Decoded, Times, in_order
+from acquire.channels.decoded import Decoded, in_order, times
 from acquire.channels.layouts import PARAMETER, SourceMessages
 from acquire.log import foxglove
 from drivers.frames import Batch, Wire
@@ -92,7 +92,7 @@ def camera_captured(sent: SentMessages) -> Decoded:
     """Make the exposures that a MAVLink camera reported."""
     f = sent.fields
     utc = f["time_utc"].astype(np.int64)
-    time = Times(np.where(utc > 0, utc * 1000, sent.utc_ns))
+    time = times(np.where(utc > 0, utc * 1000, sent.utc_ns))
     place = dict(zip(("latitude_deg", "longitude_deg", "altitude_msl_m"), sent.place, strict=True))
     return sent.exposure("feedback", {"sequence": f["image_index"], "time": time, **place})
 
@@ -103,7 +103,7 @@ def system_time(sent: SentMessages) -> Decoded:
     known = device > 0
     return sent.clock(
         {
-            "device": Times(np.where(known, device, -1)),
+            "device": times(np.where(known, device, -1)),
             "host_minus_device_s": np.where(known, (sent.log_ns - device) / 1e9, np.nan),
             "boot_s": sent.fields["time_boot_ms"] * 1e-3,
         }
@@ -201,7 +201,7 @@ _TIMES = {"time_boot_ms": 1_000_000, "time_usec": 1000}
 
 
 class VehicleDecoder:
-    """Decodes the MAVLink frames of one link; a `Decoder`.
+    """Decodes the MAVLink frames of one link; `feed` is a `Decoder`.
 
     Several systems can speak on one link. The plain topic of a message belongs to the source that sent it
     first; further sources get topics with their numbers.

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from acquire.channels.decoded import TIME, JsonLayout, Times, words
-from acquire.channels.link import MessageWriter
+from acquire.channels.decoded import TIME, JsonLayout, times, words
+from acquire.channels.link import WriteMessages
 from acquire.log.chunk import Channel
 from acquire.recording.reader import MOST_BYTES_S, Inbox
 
@@ -43,20 +43,20 @@ class Alarm:
         return f"{self.link} {self.text}" if self.link else self.text
 
 
-def write_alarms(writer: MessageWriter, alarms: Sequence[Alarm], first: int) -> None:
+def write_alarms(write: WriteMessages, alarms: Sequence[Alarm], first: int) -> None:
     """Write alarms to the log; `first` is the number of the first of them."""
     if not alarms:
         return
-    times = np.array([alarm.time_ns for alarm in alarms], np.int64)
+    raised_ns = np.array([alarm.time_ns for alarm in alarms], np.int64)
     columns: dict[str, Any] = {
         "kind": [alarm.kind for alarm in alarms],
         "link": [alarm.link for alarm in alarms],
         "text": [alarm.text for alarm in alarms],
-        "time": Times(times),
+        "time": times(raised_ns),
     }
     payloads = ALARM.rows(columns, len(alarms))
     numbers = first + np.arange(len(alarms))
-    writer.messages(Channel("/alarm", "json", ALARM.schema()), payloads, times, times, numbers)
+    write(Channel("/alarm", "json", ALARM.schema()), payloads, raised_ns, raised_ns, numbers)
 
 
 @dataclass

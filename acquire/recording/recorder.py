@@ -130,7 +130,8 @@ def record(
     if warning := expiry_warning(host.clock_ns()):
         lines.put(f"warning: {warning}")
     compile_search()
-    sessions = link_sessions(configuration, files, opened, positions, dialect, host.clock_ns, host.steady_s)
+    clocks = host.clock_ns, host.steady_s
+    sessions = link_sessions(configuration, files.messages, opened, positions, dialect, *clocks)
     flight = _Flight(configuration, files, sessions, host, lines.put)
     inboxes, readers = start_readers(opened, stop, host.clock_ns)
     try:
@@ -310,7 +311,7 @@ class _Flight:
         passed = self._limit.take(alarms, math.inf if last else self._host.steady_s())
         for alarm in passed:
             self._tell(str(alarm))
-        write_alarms(self._files, passed, self._raised)
+        write_alarms(self._files.messages, passed, self._raised)
         self.alarms.extend(passed)
         self._raised += len(passed)
 
