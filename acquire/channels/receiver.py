@@ -125,11 +125,11 @@ class ReceiverClock:
             offset = self._week_offset(near[usable])
             more_index.append(message_index[usable])
             more_time.append(_nearest(near[usable], of_week[usable] + offset, _WEEK_NS))
-        gga = nmea.decode_gga(batch)
-        near = whole[np.searchsorted(index, gga.index, side="right")]
-        usable = (near >= 0) & (gga.time_of_day_ns >= 0)
-        more_index.append(gga.index[usable])
-        more_time.append(_nearest(near[usable], gga.time_of_day_ns[usable], DAY_NS))
+        gga, of_day_ns = nmea.decode_gga_times(batch)
+        near = whole[np.searchsorted(index, gga, side="right")]
+        usable = (near >= 0) & (of_day_ns >= 0)
+        more_index.append(gga[usable])
+        more_time.append(_nearest(near[usable], of_day_ns[usable], DAY_NS))
         all_index = np.concatenate(more_index)
         order = np.argsort(all_index, kind="stable")
         return all_index[order], np.concatenate(more_time)[order]
