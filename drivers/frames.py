@@ -197,6 +197,21 @@ def batch_of(
     return Batch(data, base, start, length, wires, kind, knowns, damage, host_ns)
 
 
+@dataclass(frozen=True, slots=True)
+class Messages:
+    """Messages of one kind.
+
+    index (n,): position of each message in the batch.
+    fields (n,): the fields by the names and in the units of the protocol's definition.
+    """
+
+    index: Integers
+    fields: NDArray[Any]
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+
 def gather(data: bytes, start: Integers, length: Integers, row: np.dtype[Any]) -> NDArray[Any]:
     """Copy pieces of a buffer into the rows of a structured array; what a piece lacks is zero."""
     width = row.itemsize

@@ -1,13 +1,12 @@
 """NMEA 0183: framing and the sentences GGA, RMC and ZDA."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.frames import Batch, Wire
 from drivers.receiver import Fixes, ReceiverProtocol
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Integers
 from photocal.base.time_scales import SECOND_NS, utc_date_ns
 
 _GGA_FIXES = {1: "3d", 2: "differential", 3: "3d", 4: "rtk_fixed", 5: "rtk_float", 6: "dead_reckoning"}
@@ -63,49 +62,40 @@ def encode(text: str) -> bytes:
     return b"$" + body + b"*%02X\r\n" % check
 
 
-@dataclass(frozen=True, slots=True)
-class GgaSentences:
-    """Positions of GGA sentences.
+def decode_gga(batch: Batch) -> Fixes:
+    """Decode the positions of the GGA sentences of a batch.
 
-    index (n,): position of each sentence in the batch.
-    time_of_day_ns (n,): UTC since midnight; -1 where it is missing.
-    latitude_deg, longitude_deg (n,): NaN where missing.
-    height_m (n,): ellipsoidal: the antenna height above the geoid plus the geoid separation. NaN where either
-        is missing.
-    geoid_m (n,): that separation.
-    quality (n,): 0 none, 1 autonomous, 2 differential, 4 RTK fixed, 5 RTK float, 6 dead reckoning.
-    satellites (n,): number used.
-    hdop, age_s (n,): horizontal dilution and age of the corrections; NaN where missing.
+    Heights are ellipsoidal: that of the antenna above the geoid plus the geoid separation, `geoid_m`.
     """
-
-    index: Integers
-    time_of_day_ns: Integers
-    latitude_deg: Floats
-    longitude_deg: Floats
-    height_m: Floats
-    geoid_m: Floats
-    quality: Integers
-    satellites: Integers
-    hdop: Floats
-    age_s: Floats
-
-
-def decode_gga(batch: Batch) -> GgaSentences:
-    """Decode the GGA sentences of a batch."""
-    index = batch.where(Wire.NMEA, int.from_bytes(b"GGA", "big"))
-    rows = [_fields(batch, i, 15) for i in index.tolist()]
-    return GgaSentences(
-        index=index,
-        time_of_day_ns=np.array([_time_of_day_ns(f[1]) for f in rows], np.int64),
+    index, rows = _gga(batch)
+    geoid_m = np.array([_number(f[11]) for f in rows], float)
+    quality = [_whole(f[6]) for f in rows]
+    return Fixes.of(
+        index,
         latitude_deg=np.array([_angle_deg(f[2], f[3], 2, "S") for f in rows], float),
         longitude_deg=np.array([_angle_deg(f[4], f[5], 3, "W") for f in rows], float),
-        height_m=np.array([_number(f[9]) + _number(f[11]) for f in rows], float),
-        geoid_m=np.array([_number(f[11]) for f in rows], float),
-        quality=np.array([_whole(f[6]) for f in rows], np.int64),
-        satellites=np.array([_whole(f[7]) for f in rows], np.int64),
+        height_m=np.array([_number(f[9]) for f in rows], float) + geoid_m,
         hdop=np.array([_number(f[8]) for f in rows], float),
         age_s=np.array([_number(f[13]) for f in rows], float),
+        satellites=np.array([_whole(f[7]) for f in rows], np.int64),
+        valid=np.array(quality, np.int64) > 0,
+        fix=[_GGA_FIXES.get(value, "none") for value in quality],
+        geoid_m=geoid_m,
     )
+
+
+def decode_gga_times(batch: Batch) -> tuple[Integers, Integers]:
+    """Decode the times of the GGA sentences of a batch.
+
+    returns time_of_day_ns (n,): UTC since midnight; -1 where it is missing.
+    """
+    index, rows = _gga(batch)
+    return index, np.array([_time_of_day_ns(f[1]) for f in rows], np.int64)
+
+
+def _gga(batch: Batch) -> tuple[Integers, list[list[str]]]:
+    index = batch.where(Wire.NMEA, int.from_bytes(b"GGA", "big"))
+    return index, [_fields(batch, i, 15) for i in index.tolist()]
 
 
 def decode_times(batch: Batch) -> tuple[Integers, Integers]:
@@ -184,20 +174,7 @@ class NmeaProtocol(ReceiverProtocol):
 
     def fixes(self, batch: Batch) -> Mapping[str, Fixes]:
         """Return the positions of GGA."""
-        f = decode_gga(batch)
-        fixes = Fixes.of(
-            f.index,
-            latitude_deg=f.latitude_deg,
-            longitude_deg=f.longitude_deg,
-            height_m=f.height_m,
-            hdop=f.hdop,
-            age_s=f.age_s,
-            satellites=f.satellites,
-            valid=f.quality > 0,
-            fix=[_GGA_FIXES.get(v, "none") for v in f.quality.tolist()],
-            geoid_m=f.geoid_m,
-        )
-        return {"GGA": fixes}
+        return {"GGA": decode_gga(batch)}
 
     def told_status(self) -> tuple[str, ...]:
         """Return the one sentence, which tells all."""

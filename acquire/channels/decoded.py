@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,15 +48,10 @@ def _merged(channel: Channel, parts: list[Decoded]) -> Decoded:
     return Decoded(channel, [payloads[i] for i in order.tolist()], index[order], publish[order])
 
 
-class Decoder(Protocol):
-    """Makes decoded messages from the frames of one link, batch after batch.
-
-    The result does not depend on how the frames were cut into batches.
-    """
-
-    def feed(self, batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
-        """Return the device's time of each frame (UTC ns; of receipt where unknown) and the messages."""
-        ...
+# Makes decoded messages from the frames of one link, batch after batch: takes a batch and times of receipt,
+# gives the device's time of each frame (UTC ns; of receipt where unknown) and the messages. The result does
+# not depend on how the frames were cut into batches.
+Decoder = Callable[[Batch, Integers], tuple[Integers, list[Decoded]]]
 
 
 @dataclass(frozen=True)
@@ -100,11 +95,9 @@ def _member(kind: str, description: str) -> dict[str, str]:
 number, integer, words = (partial(_member, kind) for kind in ("number", "integer", "string"))
 
 
-@dataclass(frozen=True)
-class Times:
-    """A column of times, UTC nanoseconds since 1970; rows show seconds and nanoseconds, null below zero."""
-
-    time_ns: Integers
+def times(time_ns: Integers) -> NDArray[np.datetime64]:
+    """Return nanoseconds as a column of times; rows show seconds and nanoseconds, null below zero."""
+    return time_ns.astype("datetime64[ns]")
 
 
 def _time(time_ns: int) -> str:
@@ -117,14 +110,14 @@ _WRITTEN: dict[str, Callable[[Any], str]] = {
     "i": str,
     "u": str,
     "S": lambda value: json.dumps(value.decode("utf-8", "replace")),
+    # Of nanoseconds a list holds whole numbers.
+    "M": _time,
 }
 
 
 def _texts(column: Any, count: int) -> list[str]:
     if isinstance(column, str):
         return [json.dumps(column)] * count
-    if isinstance(column, Times):
-        return list(map(_time, column.time_ns.tolist()))
     if not isinstance(column, np.ndarray):
         return list(map(json.dumps, column))
     if column.dtype.kind == "f":

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from acquire.channels.decoded import TIME, Decoded, JsonLayout, Times, integer, number, words
+from acquire.channels.decoded import TIME, Decoded, JsonLayout, integer, number, times, words
 from acquire.log import foxglove
 from acquire.log.chunk import Channel
 from photocal.base.arrays import Columns, Floats, Integers
@@ -176,12 +176,12 @@ class SourceMessages(Columns):
     def status(self, receiver: str, columns: Mapping[str, Any]) -> Decoded:
         """Return the quality of the fixes of a receiver."""
         return self.json(
-            f"/gnss/{self.link}{receiver}/status", GNSS_STATUS, {"time": Times(self.utc_ns), **columns}
+            f"/gnss/{self.link}{receiver}/status", GNSS_STATUS, {"time": times(self.utc_ns), **columns}
         )
 
     def exposure(self, edge: str, columns: Mapping[str, Any]) -> Decoded:
         """Return exposures; `columns` may have a better time than that of the messages."""
-        return self.json("/camera/exposure", EXPOSURE, {"edge": edge, "time": Times(self.utc_ns), **columns})
+        return self.json("/camera/exposure", EXPOSURE, {"edge": edge, "time": times(self.utc_ns), **columns})
 
     def clock(self, columns: Mapping[str, Any]) -> Decoded:
         """Return readings of a clock of the device."""

@@ -1,8 +1,7 @@
 """The way of one link into the flight log: frames raw first, then what is decoded from them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -60,14 +59,8 @@ class Tally:
         self.stamp_bytes += len(batch.data) - int(batch.length.sum()) - int(batch.damage[:, 1].sum())
 
 
-class MessageWriter(Protocol):
-    """Takes messages: `acquire.log.writer.LogWriter` or what writes one file after the other."""
-
-    def messages(
-        self, channel: Channel, payloads: Payloads, log_ns: Integers, publish_ns: Integers, sequence: Integers
-    ) -> None:
-        """Add messages of one channel."""
-        ...
+# Adds messages of one channel to a log, see `acquire.log.chunk.OpenChunk.messages`.
+WriteMessages = Callable[[Channel, Payloads, Integers, Integers, Integers], None]
 
 
 class LinkLog:
@@ -79,8 +72,8 @@ class LinkLog:
     `last_ns` is the time of receipt of the last frame.
     """
 
-    def __init__(self, writer: MessageWriter, link: str, decoders: Sequence[Decoder], first: int = 0) -> None:
-        self._writer = writer
+    def __init__(self, write: WriteMessages, link: str, decoders: Sequence[Decoder], first: int = 0) -> None:
+        self._write = write
         self._link = link
         self._decoders = tuple(decoders)
         self._next = first
@@ -94,14 +87,14 @@ class LinkLog:
         publish = log_ns
         decoded = []
         for decoder in self._decoders:
-            device_ns, messages = decoder.feed(batch, log_ns)
+            device_ns, messages = decoder(batch, log_ns)
             publish = np.where(device_ns != log_ns, device_ns, publish)
             decoded.extend(messages)
         for wire in np.flatnonzero(np.bincount(batch.wire)).tolist():
             rows = np.flatnonzero(batch.wire == wire)
             payloads = Pieces(batch.data, batch.start[rows], batch.length[rows])
             channel = Channel(f"/{self._link}/raw", Wire(wire).encoding)
-            self._writer.messages(channel, payloads, log_ns[rows], publish[rows], numbers[rows])
+            self._write(channel, payloads, log_ns[rows], publish[rows], numbers[rows])
         if len(damage) and len(log_ns):
             # Damage has the time of the frame before it, at the beginning of a batch of the one after it.
             place = np.searchsorted(batch.start + batch.base, batch.damage[:, 0]) - 1
@@ -109,16 +102,14 @@ class LinkLog:
         elif len(damage):
             self._damage(batch, np.full(len(damage), self.last_ns), damage)
         for part in decoded:
-            self._writer.messages(
-                part.channel, part.payloads, log_ns[part.index], part.publish_ns, numbers[part.index]
-            )
+            self._write(part.channel, part.payloads, log_ns[part.index], part.publish_ns, numbers[part.index])
         if len(log_ns):
             self.last_ns = int(log_ns[-1])
 
     def _damage(self, batch: Batch, times: Integers, numbers: Integers) -> None:
         payloads = [data for _, data in batch.damaged()]
         channel = Channel(f"/{self._link}/damage", DAMAGE_ENCODING)
-        self._writer.messages(channel, payloads, times, times, numbers)
+        self._write(channel, payloads, times, times, numbers)
 
     def _numbers(self, batch: Batch) -> tuple[Integers, Integers]:
         place = np.concatenate([batch.start + batch.base, batch.damage[:, 0]])

@@ -1,13 +1,12 @@
 """Decoders of autopilots' own logs (ULog, DataFlash) and of event lists, records by their names."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from acquire.channels.decoded import Decoded, Times, in_order
+from acquire.channels.decoded import Decoded, Decoder, in_order, times
 from acquire.channels.layouts import ELLIPSOIDAL, PARAMETER, SourceMessages
 from acquire.channels.vehicle import fix_names
 from acquire.log import foxglove
@@ -38,7 +37,7 @@ class Logged(SourceMessages):
 
     def clock_of(self, device_utc_ns: Integers, boot_ns: Integers) -> Decoded:
         """Return UTC of a receiver beside the running time of the autopilot."""
-        return self.clock({"device": Times(device_utc_ns), "boot_s": boot_ns / 1e9})
+        return self.clock({"device": times(device_utc_ns), "boot_s": boot_ns / 1e9})
 
     def battery(self, voltage: str, current: str) -> Decoded:
         """Return the state of the battery from members in V and A."""
@@ -53,28 +52,21 @@ class Logged(SourceMessages):
         return logged.json(f"/{self.link}/parameter", PARAMETER, columns)
 
 
-@dataclass(frozen=True)
-class BootTime:
-    """When an autopilot started.
-
-    utc_ns: UTC of the start, nanoseconds since 1970.
-    pairs: number of times of a receiver that it was found from.
-    """
-
-    utc_ns: int
-    pairs: int
-
-    def of(self, boot_ns: Integers) -> Integers:
-        """Return UTC of times since the start; -1 stays -1."""
-        return np.where(boot_ns >= 0, self.utc_ns + boot_ns, -1)
+def since_start(boot_ns: Integers, start_ns: int) -> Integers:
+    """Return UTC of times since the start of an autopilot, nanoseconds since 1970; -1 stays -1."""
+    return np.where(boot_ns >= 0, start_ns + boot_ns, -1)
 
 
-def boot_time(batches: Iterable[Batch], definitions: UlogFormats | DataflashFormats) -> BootTime | None:
+def boot_time(
+    batches: Iterable[Batch], definitions: UlogFormats | DataflashFormats
+) -> tuple[int, int] | None:
     """Find when the autopilot started; None when no receiver told UTC.
 
     A record of a receiver is written some time after the epoch that it tells, never before: so the largest
     difference of UTC and running time is the nearest to the truth. It is early by the shortest delay of the
     receiver, some hundredths to a tenth of a second.
+
+    returns: UTC of the start, nanoseconds since 1970, and from how many times of a receiver it was found.
     """
     offsets = [np.empty(0, np.int64)]
     for batch in batches:
@@ -87,7 +79,7 @@ def boot_time(batches: Iterable[Batch], definitions: UlogFormats | DataflashForm
     middle = np.sort(every)[len(every) // 2]
     # A receiver's time further than this from the middle of all is a lag or a leap, not what ties the clocks.
     likely_ns = 500_000_000
-    return BootTime(int(every[np.abs(every - middle) <= likely_ns].max()), len(every))
+    return int(every[np.abs(every - middle) <= likely_ns].max()), len(every)
 
 
 @dataclass(frozen=True)
@@ -97,6 +89,7 @@ class Part(Generic[Formats]):
     formats: what the log has said of its records so far.
     utc_ns, boot_ns (n,): UTC of each, nanoseconds since 1970, and time since the start of the autopilot; -1
         where it has none.
+    earlier: kinds of records of which some have come by now, as far as that matters.
     """
 
     link: str
@@ -104,6 +97,7 @@ class Part(Generic[Formats]):
     batch: Batch
     utc_ns: Integers
     boot_ns: Integers
+    earlier: set[str]
 
     def logged(self, name: str) -> Logged:
         """Return the records of a kind."""
@@ -114,54 +108,47 @@ class Part(Generic[Formats]):
         return Logged(self.link, name, records.index, self.utc_ns[records.index], records)
 
 
-class LogDecoder(ABC, Generic[Formats]):
-    """Decodes the records of a log; a `Decoder`.
+def _decoder(
+    link: str, start_ns: int, formats: Formats, decode: Callable[[Part[Formats]], Iterator[Decoded]]
+) -> Decoder:
+    earlier = set[str]()
 
-    formats: reads the definitions of the log, from its beginning.
-    """
+    def feed(batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
+        """Take over what a batch defines and decode its records."""
+        formats.learn(batch)
+        boot = formats.boot_ns(batch)
+        utc = np.where(boot >= 0, start_ns + boot, log_ns)
+        return utc, in_order(decode(Part(link, formats, batch, utc, boot, earlier)))
 
-    def __init__(self, link: str, boot: BootTime, formats: Formats) -> None:
-        self._link = link
-        self._boot = boot
-        self._formats: Formats = formats
-
-    def feed(self, batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
-        """Return the device's time of each frame and the decoded messages."""
-        self._formats.learn(batch)
-        boot = self._formats.boot_ns(batch)
-        utc = np.where(boot >= 0, self._boot.of(boot), log_ns)
-        return utc, in_order(self._decoded(Part(self._link, self._formats, batch, utc, boot)))
-
-    @abstractmethod
-    def _decoded(self, part: Part[Formats]) -> Iterator[Decoded]:
-        """Decode a batch."""
+    return feed
 
 
-class UlogDecoder(LogDecoder[UlogFormats]):
-    """Decodes the records of a PX4 log; a `Decoder`.
+def ulog_decoder(link: str, start_ns: int) -> Decoder:
+    """Return what decodes a PX4 log from its beginning; `start_ns`: UTC of the start of the autopilot."""
+    return _decoder(link, start_ns, UlogFormats(), _of_ulog)
 
-    boot: when the autopilot started.
-    """
 
-    def __init__(self, link: str, boot: BootTime) -> None:
-        super().__init__(link, boot, UlogFormats())
+def dataflash_decoder(link: str, start_ns: int) -> Decoder:
+    """Return what decodes a DataFlash log, see `ulog_decoder`."""
+    return _decoder(link, start_ns, DataflashFormats(), _of_dataflash)
 
-    def _decoded(self, part: Part[UlogFormats]) -> Iterator[Decoded]:
-        for topic, receiver in _RECEIVERS.items():
-            yield from _receiver(part.logged(topic), receiver, part)
-        position = part.logged("vehicle_global_position")
-        records = position.records
-        place = records.number("lat"), records.number("lon"), records.number("alt")
-        yield position.location(f"/{part.link}/position", place)
-        attitude = part.logged("vehicle_attitude")
-        # PX4 turns body vectors (forward, right, down) into north, east, down, as the log does.
-        yield attitude.attitude(_quaternion(attitude)[:, [1, 2, 3, 0]])
-        for topic, edge in (("camera_capture", "feedback"), ("camera_trigger", "trigger")):
-            yield _exposure(part.logged(topic), edge)
-        texts = part.formats.texts(part.batch)
-        yield part.of("logging", texts).health({"severity": texts["severity"], "text": texts["text"]})
-        yield part.of("parameter", part.formats.parameters(part.batch)).parameters("name", "value")
-        yield part.logged("battery_status").battery("voltage_v", "current_a")
+
+def _of_ulog(part: Part[UlogFormats]) -> Iterator[Decoded]:
+    for topic, receiver in _RECEIVERS.items():
+        yield from _receiver(part.logged(topic), receiver, part)
+    position = part.logged("vehicle_global_position")
+    records = position.records
+    place = records.number("lat"), records.number("lon"), records.number("alt")
+    yield position.location(f"/{part.link}/position", place)
+    attitude = part.logged("vehicle_attitude")
+    # PX4 turns body vectors (forward, right, down) into north, east, down, as the log does.
+    yield attitude.attitude(_quaternion(attitude)[:, [1, 2, 3, 0]])
+    for topic, edge in (("camera_capture", "feedback"), ("camera_trigger", "trigger")):
+        yield _exposure(part.logged(topic), edge)
+    texts = part.formats.texts(part.batch)
+    yield part.of("logging", texts).health({"severity": texts["severity"], "text": texts["text"]})
+    yield part.of("parameter", part.formats.parameters(part.batch)).parameters("name", "value")
+    yield part.logged("battery_status").battery("voltage_v", "current_a")
 
 
 def _receiver(logged: Logged, receiver: str, part: Part[UlogFormats]) -> Iterator[Decoded]:
@@ -199,44 +186,30 @@ def _quaternion(logged: Logged) -> Floats:
 def _exposure(logged: Logged, edge: str) -> Decoded:
     records = logged.records
     gps = told_utc_ns(records.number("timestamp_utc"))
-    columns: dict[str, Any] = {"time": Times(np.where(gps >= 0, gps, logged.utc_ns))}
+    columns: dict[str, Any] = {"time": times(np.where(gps >= 0, gps, logged.utc_ns))}
     names = {"latitude_deg": "lat", "longitude_deg": "lon", "altitude_msl_m": "alt"}
     columns |= {name: records.number(member) for name, member in names.items() if member in records}
     return logged.exposure(edge, {**columns, **logged.whole(sequence="seq")})
 
 
-class EventListClock:
-    """Gives each event its UTC."""
-
-    def __init__(self) -> None:
-        self.sources: set[str] = set()
-
-    def feed(self, batch: Batch) -> Integers:
-        """Return UTC of each frame, nanoseconds since 1970; -1 where it is not told."""
-        events = mrk.decode(batch)
-        utc = np.full(len(batch), -1, np.int64)
-        gps = mrk.event_gps_ns(events)
-        utc[events.index] = np.where(gps >= 0, gps_to_utc_ns(gps), -1)
-        self.sources |= {"event list"} if (utc >= 0).any() else set()
-        return utc
-
-    def restart(self, near_ns: int) -> None:
-        """Do nothing: each event tells its whole time."""
+def event_utc_ns(batch: Batch) -> Integers:
+    """Return UTC of each event of a list, nanoseconds since 1970; -1 where it is not told."""
+    events = mrk.decode(batch)
+    utc = np.full(len(batch), -1, np.int64)
+    gps = mrk.event_gps_ns(events)
+    utc[events.index] = np.where(gps >= 0, gps_to_utc_ns(gps), -1)
+    return utc
 
 
-class EventListDecoder:
-    """Decodes the events of a list; a `Decoder`."""
+def event_list_decoder(link: str) -> Decoder:
+    """Return what decodes the events of a list."""
 
-    def __init__(self, link: str) -> None:
-        self._link = link
-        self._clock = EventListClock()
-
-    def feed(self, batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
-        """Return the time of each event and the decoded messages."""
-        event_utc = self._clock.feed(batch)
+    def feed(batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
+        """Decode events."""
+        event_utc = event_utc_ns(batch)
         utc = np.where(event_utc >= 0, event_utc, log_ns)
         marks = mrk.decode(batch)
-        events = SourceMessages(self._link, "MRK", marks.index, utc[marks.index])
+        events = SourceMessages(link, "MRK", marks.index, utc[marks.index])
         if not len(events):
             return utc, []
         horizontal = np.hypot(marks["sigma_north_m"], marks["sigma_east_m"])
@@ -244,7 +217,7 @@ class EventListDecoder:
         claimed = horizontal, marks["sigma_up_m"]
         columns = {
             "sequence": marks["number"].astype(np.int64),
-            "time": Times(event_utc),
+            "time": times(event_utc),
             "latitude_deg": marks["latitude_deg"],
             "longitude_deg": marks["longitude_deg"],
         }
@@ -252,42 +225,39 @@ class EventListDecoder:
         quality = {"fix": fix, "horizontal_m": horizontal, "vertical_m": marks["sigma_up_m"]}
         return utc, [
             events.exposure("feedback", columns),
-            events.location(f"/gnss/{self._link}/fix", place, claimed, ELLIPSOIDAL),
+            events.location(f"/gnss/{link}/fix", place, claimed, ELLIPSOIDAL),
             events.status("", quality),
         ]
 
+    return feed
 
-class DataflashDecoder(LogDecoder[DataflashFormats]):
-    """Decodes the records of a DataFlash log; a `Decoder`."""
 
-    def __init__(self, link: str, boot: BootTime) -> None:
-        super().__init__(link, boot, DataflashFormats())
-        self._positions_told = False
+def _of_dataflash(part: Part[DataflashFormats]) -> Iterator[Decoded]:
+    for name in ("GPS", "GPS2"):
+        yield from _dataflash_receiver(part.logged(name), part)
+    for position in _dataflash_positions(part):
+        yield position.location(f"/{part.link}/position", _place(position))
+    attitude = part.logged("ATT")
+    angles = (np.deg2rad(attitude.records.number(name)) for name in ("Roll", "Pitch", "Yaw"))
+    yield attitude.attitude(foxglove.quaternion_from_euler(*angles))
+    for name, edge in (("CAM", "feedback"), ("TRIG", "trigger")):
+        yield _dataflash_exposure(part.logged(name), edge, part)
+    texts = part.logged("MSG")
+    if "Message" in texts.records:
+        yield texts.health({"text": texts.records["Message"]})
+    yield part.logged("PARM").parameters("Name", "Value")
+    yield part.logged("BAT").battery("Volt", "Curr")
 
-    def _decoded(self, part: Part[DataflashFormats]) -> Iterator[Decoded]:
-        for name in ("GPS", "GPS2"):
-            yield from _dataflash_receiver(part.logged(name), part)
-        for position in self._positions(part):
-            yield position.location(f"/{part.link}/position", _place(position))
-        attitude = part.logged("ATT")
-        angles = (np.deg2rad(attitude.records.number(name)) for name in ("Roll", "Pitch", "Yaw"))
-        yield attitude.attitude(foxglove.quaternion_from_euler(*angles))
-        for name, edge in (("CAM", "feedback"), ("TRIG", "trigger")):
-            yield _dataflash_exposure(part.logged(name), edge, part)
-        texts = part.logged("MSG")
-        if "Message" in texts.records:
-            yield texts.health({"text": texts.records["Message"]})
-        yield part.logged("PARM").parameters("Name", "Value")
-        yield part.logged("BAT").battery("Volt", "Curr")
 
-    def _positions(self, part: Part[DataflashFormats]) -> Iterator[Logged]:
-        position = part.logged("POS")
-        # Logs of before POS have the place beside the attitude of the second filter: good until POS comes.
-        second = part.logged("AHR2")
-        first = min([0] * self._positions_told + position.records.index.tolist(), default=len(part.batch))
-        self._positions_told |= len(position) > 0
-        yield second.rows(second.records.index < first)
-        yield position
+def _dataflash_positions(part: Part[DataflashFormats]) -> Iterator[Logged]:
+    position = part.logged("POS")
+    # Logs of before POS have the place beside the attitude of the second filter: good until POS comes.
+    second = part.logged("AHR2")
+    first = min([0] * ("POS" in part.earlier) + position.records.index.tolist(), default=len(part.batch))
+    if len(position):
+        part.earlier.add("POS")
+    yield second.rows(second.records.index < first)
+    yield position
 
 
 def _dataflash_receiver(every: Logged, part: Part[DataflashFormats]) -> Iterator[Decoded]:
@@ -316,7 +286,7 @@ def _dataflash_exposure(logged: Logged, edge: str, part: Part[DataflashFormats])
     return logged.exposure(
         edge,
         {
-            "time": Times(np.where(timed, logged.utc_ns, fix_utc_ns)),
+            "time": times(np.where(timed, logged.utc_ns, fix_utc_ns)),
             "latitude_deg": records.number("Lat"),
             "longitude_deg": records.number("Lng"),
             "altitude_msl_m": records.number("Alt"),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.channels.decoded import Decoded, Times, in_order
+from acquire.channels.decoded import Decoded, in_order, times
 from acquire.channels.layouts import ELLIPSOIDAL, STATION, SourceMessages
 from drivers import nmea, rtcm3
 from drivers.frames import Batch
@@ -125,11 +125,11 @@ class ReceiverClock:
             offset = self._week_offset(near[usable])
             more_index.append(message_index[usable])
             more_time.append(_nearest(near[usable], of_week[usable] + offset, _WEEK_NS))
-        gga = nmea.decode_gga(batch)
-        near = whole[np.searchsorted(index, gga.index, side="right")]
-        usable = (near >= 0) & (gga.time_of_day_ns >= 0)
-        more_index.append(gga.index[usable])
-        more_time.append(_nearest(near[usable], gga.time_of_day_ns[usable], DAY_NS))
+        gga, of_day_ns = nmea.decode_gga_times(batch)
+        near = whole[np.searchsorted(index, gga, side="right")]
+        usable = (near >= 0) & (of_day_ns >= 0)
+        more_index.append(gga[usable])
+        more_time.append(_nearest(near[usable], of_day_ns[usable], DAY_NS))
         all_index = np.concatenate(more_index)
         order = np.argsort(all_index, kind="stable")
         return all_index[order], np.concatenate(more_time)[order]
@@ -146,7 +146,7 @@ def _nearest(near: Integers, phase: Integers, period: int) -> Integers:
 
 
 class ReceiverDecoder:
-    """Decodes the frames of a receiver's link, of every protocol of the table; a `Decoder`."""
+    """Decodes the frames of a receiver's link, of every protocol of the table; `feed` is a `Decoder`."""
 
     def __init__(self, link: str) -> None:
         self._link = link
@@ -197,8 +197,8 @@ class ReceiverDecoder:
                 names = [TIME_BASES[base] for base in new.base.tolist()]
                 columns = {
                     "sequence": new.count,
-                    "time": Times(np.where(told, gps_to_utc_ns(new.gps_ns), -1)),
-                    "gps_time": Times(np.where(told, new.gps_ns, -1)),
+                    "time": times(np.where(told, gps_to_utc_ns(new.gps_ns), -1)),
+                    "gps_time": times(np.where(told, new.gps_ns, -1)),
                     "time_base": [n if v else None for n, v in zip(names, new.valid.tolist(), strict=True)],
                     "accuracy_ns": new.accuracy_ns,
                 }
@@ -209,7 +209,7 @@ class ReceiverDecoder:
         f = epochs.fields
         device = publish[epochs.index]
         columns = {
-            "device": Times(device),
+            "device": times(device),
             "host_minus_device_s": (log_ns[epochs.index] - device) / SECOND_NS,
             "gps_week": f["week"],
             "gps_seconds_of_week_s": f["rcvTow"],

@@ -222,7 +222,7 @@ class LinkSummary:
             for code in np.unique(both).tolist():
                 self.senders.setdefault(divmod(code, 256), []).append(number[both == code])
             system_time = decode(batch, self.dialect.number("SYSTEM_TIME"), self.dialect)
-            self.clock.add(system_time.system, system_time.fields, log_ns[system_time.index])
+            self.clock.add(system[system_time.index], system_time.fields, log_ns[system_time.index])
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures."""

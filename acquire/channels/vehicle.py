@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.channels.decoded import Decoded, Times, in_order
+from acquire.channels.decoded import Decoded, in_order, times
 from acquire.channels.layouts import PARAMETER, SourceMessages
 from acquire.log import foxglove
-from drivers.frames import Batch, Wire
-from drivers.mavlink.decode import MavlinkMessages, decode
+from drivers.frames import Batch, Messages, Wire
+from drivers.mavlink.decode import decode, sources
 from drivers.mavlink.dialect import Dialect
 from photocal.base.arrays import Floats, Integers
 
@@ -29,7 +29,7 @@ _FIX_NAMES = ("none", "none", "2d", "3d", "differential", "rtk_float", "rtk_fixe
 class SentMessages(SourceMessages):
     """Messages of one kind from one source.
 
-    fields (n,): the fields, see `drivers.mavlink.decode.MavlinkMessages`.
+    fields (n,): the fields, see `drivers.frames.Messages`.
     log_ns (n,): time of receipt, UTC.
     """
 
@@ -92,7 +92,7 @@ def camera_captured(sent: SentMessages) -> Decoded:
     """Make the exposures that a MAVLink camera reported."""
     f = sent.fields
     utc = f["time_utc"].astype(np.int64)
-    time = Times(np.where(utc > 0, utc * 1000, sent.utc_ns))
+    time = times(np.where(utc > 0, utc * 1000, sent.utc_ns))
     place = dict(zip(("latitude_deg", "longitude_deg", "altitude_msl_m"), sent.place, strict=True))
     return sent.exposure("feedback", {"sequence": f["image_index"], "time": time, **place})
 
@@ -103,7 +103,7 @@ def system_time(sent: SentMessages) -> Decoded:
     known = device > 0
     return sent.clock(
         {
-            "device": Times(np.where(known, device, -1)),
+            "device": times(np.where(known, device, -1)),
             "host_minus_device_s": np.where(known, (sent.log_ns - device) / 1e9, np.nan),
             "boot_s": sent.fields["time_boot_ms"] * 1e-3,
         }
@@ -201,7 +201,7 @@ _TIMES = {"time_boot_ms": 1_000_000, "time_usec": 1000}
 
 
 class VehicleDecoder:
-    """Decodes the MAVLink frames of one link; a `Decoder`.
+    """Decodes the MAVLink frames of one link; `feed` is a `Decoder`.
 
     Several systems can speak on one link. The plain topic of a message belongs to the source that sent it
     first; further sources get topics with their numbers.
@@ -229,11 +229,11 @@ class VehicleDecoder:
                 continue
             messages = decode(batch, kind, self._dialect)
             if timed is not None:
-                device = self._device_ns(messages, timed, boot)
+                device = self._device_ns(batch, messages, timed, boot)
                 known = device >= 0
                 publish[messages.index[known]] = device[known]
             if kind in self._made:
-                decoded.extend(self._decode(kind, messages, log_ns, publish))
+                decoded.extend(self._decode(batch, kind, messages, log_ns, publish))
         return publish, in_order(decoded)
 
     def _boot_offsets(self, batch: Batch) -> tuple[Integers, Integers]:
@@ -242,25 +242,29 @@ class VehicleDecoder:
         utc = _ns(messages.fields["time_unix_usec"], 1000)
         boot = utc - _ns(messages.fields["time_boot_ms"], 1_000_000)
         good = utc > EARLIEST_UTC_NS
+        system, _ = sources(batch, messages.index)
         if self._clock_system is None and good.any():
-            self._clock_system = int(messages.system[np.argmax(good)])
-        good &= messages.system == (-1 if self._clock_system is None else self._clock_system)
+            self._clock_system = int(system[np.argmax(good)])
+        good &= system == (-1 if self._clock_system is None else self._clock_system)
         start = -1 if self._boot_utc_ns is None else self._boot_utc_ns
         offsets = np.concatenate([[start], boot[good]]).astype(np.int64)
         self._boot_utc_ns = int(offsets[-1]) if len(offsets) > 1 else self._boot_utc_ns
         return np.concatenate([[-1], messages.index[good]]).astype(np.int64), offsets
 
-    def _device_ns(self, messages: MavlinkMessages, member: str, boot: tuple[Integers, Integers]) -> Integers:
+    def _device_ns(
+        self, batch: Batch, messages: Messages, member: str, boot: tuple[Integers, Integers]
+    ) -> Integers:
         time = _ns(messages.fields[member], _TIMES[member])
         since, offsets = boot
         offset = offsets[np.searchsorted(since, messages.index, side="right") - 1]
-        timed = (messages.system == self._clock_system) & (offset >= 0)
+        timed = (sources(batch, messages.index)[0] == self._clock_system) & (offset >= 0)
         return np.where(time > EARLIEST_UTC_NS, time, np.where(timed, offset + time, -1))
 
     def _decode(
-        self, kind: int, messages: MavlinkMessages, log_ns: Integers, publish: Integers
+        self, batch: Batch, kind: int, messages: Messages, log_ns: Integers, publish: Integers
     ) -> Iterable[Decoded]:
-        senders = messages.system.astype(np.int64) * 256 + messages.component
+        system, component = sources(batch, messages.index)
+        senders = system.astype(np.int64) * 256 + component
         for sender in dict.fromkeys(senders.tolist()):
             of_sender = senders == sender
             index = messages.index[of_sender]

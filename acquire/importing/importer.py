@@ -22,12 +22,12 @@ import numpy as np
 from acquire.channels.decoded import Decoder
 from acquire.channels.link import LinkLog, Tally
 from acquire.channels.log_decoder import (
-    BootTime,
-    DataflashDecoder,
-    EventListClock,
-    EventListDecoder,
-    UlogDecoder,
     boot_time,
+    dataflash_decoder,
+    event_list_decoder,
+    event_utc_ns,
+    since_start,
+    ulog_decoder,
 )
 from acquire.channels.receiver import ReceiverClock, ReceiverDecoder
 from acquire.channels.vehicle import VehicleDecoder
@@ -172,12 +172,13 @@ def identify(source: RecordedBytes, dialect: Dialect) -> RecordingFormat:
     return best
 
 
-Clock = ReceiverClock | EventListClock
 Definitions = UlogFormats | DataflashFormats
 # What decodes an autopilot's own log, what it defines, and what is to be known of its times.
-_LOGS: dict[RecordingFormat, tuple[Any, type[Definitions], Callable[[int], str]]] = {
-    DATAFLASH_LOG: (DataflashDecoder, DataflashFormats, expiry_warning),
-    PX4_LOG: (UlogDecoder, UlogFormats, lambda _: ""),
+_LOGS: dict[
+    RecordingFormat, tuple[Callable[[str, int], Decoder], type[Definitions], Callable[[int], str]]
+] = {
+    DATAFLASH_LOG: (dataflash_decoder, DataflashFormats, expiry_warning),
+    PX4_LOG: (ulog_decoder, UlogFormats, lambda _: ""),
 }
 HOST_TIME = "host stamps of the recording"
 
@@ -191,19 +192,28 @@ def stamped(batches: Iterable[Batch]) -> Timed:
         yield batch, batch.host_ns
 
 
-def derived(batches: Iterable[Batch], clock: Clock, where: object) -> Timed:
-    """Yield batches with the receiver's own UTC, since there is no time of receipt."""
+def derived(
+    batches: Iterable[Batch],
+    clock: Callable[[Batch], Integers],
+    restart: Callable[[int], None],
+    where: object,
+) -> Timed:
+    """Yield batches with the device's own UTC, since there is no time of receipt.
+
+    clock: gives UTC of the frames of a batch, -1 before it was told.
+    restart: lets the clock begin anew with a time that is nearly known.
+    """
 
     def timed() -> Timed:
         """Give each batch with the UTC of its frames, once the first time of the device is known."""
         left, waiting = iter(batches), list[Batch]()
         for batch in left:
             waiting.append(batch)
-            device = clock.feed(batch)
+            device = clock(batch)
             if (device >= 0).any():
                 # The date is known now: what came before it can be read again, with the date at hand.
-                clock.restart(int(device[device >= 0][0]))
-                devices = [clock.feed(earlier) for earlier in waiting]
+                restart(int(device[device >= 0][0]))
+                devices = [clock(earlier) for earlier in waiting]
                 first = next(time for device in devices for time in device.tolist() if time >= 0)
                 yield from zip(waiting, (np.maximum(device, first) for device in devices), strict=True)
                 break
@@ -216,21 +226,21 @@ def derived(batches: Iterable[Batch], clock: Clock, where: object) -> Timed:
                     remedy="give --date YYYY-MM-DD, or record one of these messages too",
                 )
         for batch in left:
-            yield batch, clock.feed(batch)
+            yield batch, clock(batch)
 
     return _steadily(timed(), -1)
 
 
-def since_boot(batches: Iterable[Batch], definitions: Definitions, boot: BootTime) -> Timed:
+def since_boot(batches: Iterable[Batch], definitions: Definitions, start_ns: int) -> Timed:
     """Yield batches of an autopilot's own log with the UTC of its records, since there is no receipt."""
 
     def timed() -> Timed:
         """Give each batch with the times since boot as the records' own definitions state them."""
         for batch in batches:
             definitions.learn(batch)
-            yield batch, boot.of(definitions.boot_ns(batch))
+            yield batch, since_start(definitions.boot_ns(batch), start_ns)
 
-    return _steadily(timed(), boot.utc_ns)
+    return _steadily(timed(), start_ns)
 
 
 def _steadily(timed: Timed, last: int) -> Timed:
@@ -259,7 +269,7 @@ def way_of(source: RecordedBytes, form: RecordingFormat, link: str, dialect: Dia
     """Return the way of a recording."""
     if form is TELEMETRY_LOG:
         # Host stamps are UTC already; what a receiver tells in GPS time needs the leap seconds.
-        return Way(VehicleDecoder(link, dialect), stamped, lambda: HOST_TIME, lambda _: "")
+        return Way(VehicleDecoder(link, dialect).feed, stamped, lambda: HOST_TIME, lambda _: "")
     if form in _LOGS:
         decoder, formats, warned = _LOGS[form]
         boot = boot_time(source.batches(form.framer(dialect)), formats())
@@ -269,22 +279,23 @@ def way_of(source: RecordedBytes, form: RecordingFormat, link: str, dialect: Dia
                 where=source.path,
                 remedy="import a log that was recorded outdoors",
             )
-        time_source = f"running time of the autopilot, tied to UTC by {boot.pairs} times of its GNSS receiver"
-        timed = partial(since_boot, definitions=formats(), boot=boot)
-        return Way(decoder(link, boot), timed, lambda: time_source, warned)
-    events = form is EVENT_LIST
-    clock: Clock = EventListClock() if events else ReceiverClock(near_ns)
-    return Way(
-        EventListDecoder(link) if events else ReceiverDecoder(link),
-        partial(derived, clock=clock, where=source.path),
-        lambda: _derivation(clock, near_ns),
-    )
+        start_ns, pairs = boot
+        time_source = f"running time of the autopilot, tied to UTC by {pairs} times of its GNSS receiver"
+        timed = partial(since_boot, definitions=formats(), start_ns=start_ns)
+        return Way(decoder(link, start_ns), timed, lambda: time_source, warned)
+    if form is EVENT_LIST:
+        # Each event tells its whole time.
+        told = partial(derived, clock=event_utc_ns, restart=lambda _: None, where=source.path)
+        return Way(event_list_decoder(link), told, lambda: _derivation({"event list"}, near_ns))
+    clock = ReceiverClock(near_ns)
+    told = partial(derived, clock=clock.feed, restart=clock.restart, where=source.path)
+    return Way(ReceiverDecoder(link).feed, told, lambda: _derivation(clock.sources, near_ns))
 
 
-def _derivation(clock: Clock, near_ns: int) -> str:
+def _derivation(sources: set[str], near_ns: int) -> str:
     # Where the stream tells its date itself, that is what counts.
-    dated = clock.sources or near_ns < 0
-    text = ", ".join(sorted(clock.sources)) if dated else "time of day or week, the date as it was given"
+    dated = sources or near_ns < 0
+    text = ", ".join(sorted(sources)) if dated else "time of day or week, the date as it was given"
     return f"derived from the receiver's own time ({text}); no host clock"
 
 
@@ -387,7 +398,7 @@ def _import(
 ) -> Imported:
     framer = form.framer(dialect)
     way = way_of(source, form, link, dialect, near_ns)
-    log = LinkLog(writer, link, [way.decoder])
+    log = LinkLog(writer.messages, link, [way.decoder])
 
     for batch, log_ns in way.timed(source.batches(framer, advance)):
         log.write(batch, log_ns)

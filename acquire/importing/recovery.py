@@ -59,7 +59,7 @@ class _Unframed:
 
     def write(self, writer: LogWriter, link: str) -> int:
         """Frame what is left; return the number of frames."""
-        framer, log = StreamFramer(wires_of(self.protocol)), LinkLog(writer, link, [], self.next)
+        framer, log = StreamFramer(wires_of(self.protocol)), LinkLog(writer.messages, link, [], self.next)
         for offset, time_ns, data in self.pieces:
             batch = framer.feed(data[max(0, self.framed - offset) :])
             log.write(batch, np.full(len(batch), time_ns))

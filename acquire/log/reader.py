@@ -290,6 +290,16 @@ def _unpacked(chunk: mcap.Chunk) -> bytes:
     return bytes(content)
 
 
+def has_end(path: Path) -> bool:
+    """Tell whether a log was closed: it ends as it began."""
+    try:
+        with path.open("rb") as stream:
+            stream.seek(-len(MAGIC), io.SEEK_END)
+            return stream.read() == MAGIC and stream.tell() > len(MAGIC)
+    except OSError:
+        return False
+
+
 def link_of(channel: Channel) -> str:
     """Return the link that a channel belongs to: the first part of its topic."""
     return channel.topic.lstrip("/").partition("/")[0]

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from acquire.log.chunk import MAGIC, PART_OF
-from acquire.log.reader import LoggedMessages, LogReader, Repeats
+from acquire.log.reader import LoggedMessages, LogReader, Repeats, has_end
 from acquire.monitor.reducer import state_after
 from acquire.monitor.state import ComputerState, RecordingState
 from acquire.monitor.traffic import looked
@@ -120,7 +120,7 @@ class Tail:
         same_flight_s = 60.0
         # A name has whole seconds; where the clock was set back meanwhile nothing tells how long it was.
         apart_s = math.nan if last_s is None else _begun_s(path) - last_s
-        return -1.0 <= apart_s <= same_flight_s and not _has_end(before)
+        return -1.0 <= apart_s <= same_flight_s and not has_end(before)
 
 
 def _follows(path: Path, part: _Part, current: _Part) -> bool:
@@ -129,7 +129,7 @@ def _follows(path: Path, part: _Part, current: _Part) -> bool:
     One with an earlier name is a recording begun after the clock was set back, as long as it is written; or
     else an older log that was brought here.
     """
-    return part > current or (part[0] != current[0] and not _has_end(path))
+    return part > current or (part[0] != current[0] and not has_end(path))
 
 
 def _to_come(part: _Part) -> bool:
@@ -158,16 +158,6 @@ def _named(path: Path) -> _Part:
     """Return what the name of a log says: older recorders number the files of a second."""
     match = _NAME.fullmatch(path.name)
     return (f"flight-{match[1]}.mcap", int(match[2] or 1)) if match else (path.name, 1)
-
-
-def _has_end(path: Path) -> bool:
-    """Whether a log was closed: it ends as it began."""
-    try:
-        with path.open("rb") as stream:
-            stream.seek(-len(MAGIC), 2)
-            return stream.read() == MAGIC
-    except OSError:
-        return False
 
 
 def _begun_s(path: Path) -> float:

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from acquire.channels.decoded import TIME, JsonLayout, Times, words
-from acquire.channels.link import MessageWriter
+from acquire.channels.decoded import TIME, JsonLayout, times, words
+from acquire.channels.link import WriteMessages
 from acquire.log.chunk import Channel
 from acquire.recording.reader import MOST_BYTES_S, Inbox
 
@@ -43,20 +43,20 @@ class Alarm:
         return f"{self.link} {self.text}" if self.link else self.text
 
 
-def write_alarms(writer: MessageWriter, alarms: Sequence[Alarm], first: int) -> None:
+def write_alarms(write: WriteMessages, alarms: Sequence[Alarm], first: int) -> None:
     """Write alarms to the log; `first` is the number of the first of them."""
     if not alarms:
         return
-    times = np.array([alarm.time_ns for alarm in alarms], np.int64)
+    raised_ns = np.array([alarm.time_ns for alarm in alarms], np.int64)
     columns: dict[str, Any] = {
         "kind": [alarm.kind for alarm in alarms],
         "link": [alarm.link for alarm in alarms],
         "text": [alarm.text for alarm in alarms],
-        "time": Times(times),
+        "time": times(raised_ns),
     }
     payloads = ALARM.rows(columns, len(alarms))
     numbers = first + np.arange(len(alarms))
-    writer.messages(Channel("/alarm", "json", ALARM.schema()), payloads, times, times, numbers)
+    write(Channel("/alarm", "json", ALARM.schema()), payloads, raised_ns, raised_ns, numbers)
 
 
 @dataclass
@@ -101,38 +101,61 @@ class AlarmLimit:
 
 
 @dataclass
-class ClockWatch:
-    """Compares the clock of the host with a steady one: a jump is told, drift is not."""
+class RecordingWatch:
+    """Watches links and the clock of the host; everything is told once, as long as it lasts.
 
+    limits_s: the longest silence of each link, seconds.
+    start_s: when the watch begins, seconds of a steady clock.
+    """
+
+    limits_s: dict[str, float]
+    start_s: float
+    _heard_s: dict[str, float] = field(default_factory=dict)
+    _silent: set[str] = field(default_factory=set)
+    _flooded: dict[str, tuple[float, tuple[int, int, bool]]] = field(default_factory=dict)
     _offset_s: float | None = None
 
-    def look(self, clock_ns: int, steady_s: float) -> list[Alarm]:
-        """Return the alarm of a jump since the last look."""
+    def hear(self, link: str, steady_s: float, time_ns: int) -> list[Alarm]:
+        """Take note of intact frames of a link: one that was silent is heard again."""
+        self._heard_s[link] = steady_s
+        if link not in self._silent:
+            return []
+        self._silent.discard(link)
+        return [Alarm("heard_again", link, "data again", time_ns)]
+
+    def silences(self, steady_s: float, time_ns: int) -> list[Alarm]:
+        """Return the alarms of links that have become too silent."""
+        alarms = []
+        for link, limit in self.limits_s.items():
+            silence = steady_s - self._heard_s.get(link, self.start_s)
+            if silence > limit and link not in self._silent:
+                self._silent.add(link)
+                alarms.append(Alarm("silent", link, f"no data for more than {limit:g} s", time_ns))
+        return alarms
+
+    def floods(self, inboxes: dict[str, Inbox], steady_s: float, time_ns: int) -> list[Alarm]:
+        """Return the alarms of links whose data arrive faster than they can be recorded.
+
+        They come at once, then repeatedly; at an infinite time the last figures.
+        """
+        alarms = []
+        flood_told_s = 10.0
+        for link, inbox in inboxes.items():
+            state = (inbox.dropped, inbox.missed, inbox.slowed)
+            last_s, last = self._flooded.get(link, (-np.inf, (0, 0, False)))
+            if state != last and steady_s - last_s >= flood_told_s:
+                self._flooded[link] = (steady_s, state)
+                alarms.append(Alarm("flood", link, flood_text(inbox), time_ns))
+        return alarms
+
+    def jump(self, clock_ns: int, steady_s: float) -> list[Alarm]:
+        """Return the alarm of a jump of the host's clock since the last look; drift is none."""
         offset = clock_ns / 1e9 - steady_s
         last, self._offset_s = self._offset_s, offset
         if last is None or abs(offset - last) < LEAST_JUMP_S:
             return []
         text = f"the clock of this computer jumped by {offset - last:+.1f} s: times of receipt jump, too"
         return [Alarm("clock_jump", "", text, clock_ns)]
-
-
-@dataclass
-class FloodWatch:
-    """Reports links whose data arrive faster than they can be recorded: at once, then repeatedly."""
-
-    _announced: dict[str, tuple[float, tuple[int, int, bool]]] = field(default_factory=dict)
-
-    def look(self, inboxes: dict[str, Inbox], steady_s: float, time_ns: int) -> list[Alarm]:
-        """Return the alarms of links that flood; at an infinite time the last figures."""
-        alarms = []
-        flood_told_s = 10.0
-        for link, inbox in inboxes.items():
-            state = (inbox.dropped, inbox.missed, inbox.slowed)
-            last_s, last = self._announced.get(link, (-np.inf, (0, 0, False)))
-            if state != last and steady_s - last_s >= flood_told_s:
-                self._announced[link] = (steady_s, state)
-                alarms.append(Alarm("flood", link, flood_text(inbox), time_ns))
-        return alarms
 
 
 def flood_text(inbox: Inbox) -> str:
@@ -144,35 +167,3 @@ def flood_text(inbox: Inbox) -> str:
         lost = f"{inbox.missed} datagrams" if inbox.missed else f"{inbox.dropped} bytes"
         return f"{limit}: {lost} could not be kept so far"
     return f"{limit}: the sender must wait"
-
-
-@dataclass
-class SilenceWatch:
-    """Tells links that were silent for too long, each once, and when they are heard again.
-
-    limits_s: the longest silence of each link, seconds.
-    start_s: when the watch begins, seconds of a steady clock.
-    """
-
-    limits_s: dict[str, float]
-    start_s: float
-    _heard_s: dict[str, float] = field(default_factory=dict)
-    _announced: set[str] = field(default_factory=set)
-
-    def hear(self, link: str, steady_s: float, time_ns: int) -> list[Alarm]:
-        """Take note of intact frames of a link."""
-        self._heard_s[link] = steady_s
-        if link not in self._announced:
-            return []
-        self._announced.discard(link)
-        return [Alarm("heard_again", link, "data again", time_ns)]
-
-    def look(self, steady_s: float, time_ns: int) -> list[Alarm]:
-        """Return the alarms of links that have become too silent."""
-        alarms = []
-        for link, limit in self.limits_s.items():
-            silence = steady_s - self._heard_s.get(link, self.start_s)
-            if silence > limit and link not in self._announced:
-                self._announced.add(link)
-                alarms.append(Alarm("silent", link, f"no data for more than {limit:g} s", time_ns))
-        return alarms

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers import ubx
 from drivers.frames import Batch, Wire
-from drivers.mavlink.decode import FRAGMENT_BYTES, FRAGMENTS, autopilots, decode, encode, fragments
+from drivers.mavlink.decode import FRAGMENT_BYTES, FRAGMENTS, autopilots, decode, encode, fragments, sources
 from drivers.mavlink.dialect import Dialect
 from drivers.ubx import configure
 from photocal.base.errors import DeviceError
@@ -189,7 +189,8 @@ class VehicleDialogue:
         if batch is None or not self._timesync_every_s:
             return []
         asked = decode(batch, self._dialect.number("TIMESYNC"), self._dialect)
-        to_us = (asked.system == (self._target or (0, 0))[0]) & (asked.fields["tc1"] == 0)
+        system, _ = sources(batch, asked.index)
+        to_us = (system == (self._target or (0, 0))[0]) & (asked.fields["tc1"] == 0)
         if "target_system" in (asked.fields.dtype.names or ()):
             to_us &= np.isin(asked.fields["target_system"], (0, SYSTEM))
         questions = asked.fields["ts1"][to_us].tolist()
@@ -239,7 +240,8 @@ class VehicleDialogue:
         if self._target is None:
             return
         answers = decode(batch, self._dialect.number("COMMAND_ACK"), self._dialect)
-        fields = answers.fields[(answers.system == self._target[0]) & (answers.component == self._target[1])]
+        system, component = sources(batch, answers.index)
+        fields = answers.fields[(system == self._target[0]) & (component == self._target[1])]
         for command, result in zip(fields["command"].tolist(), fields["result"].tolist(), strict=True):
             if command != SET_MESSAGE_INTERVAL or not self._open or not self._attempts:
                 continue

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from acquire.channels.decoded import Decoded, Decoder
-from acquire.channels.link import LinkLog, MessageWriter, arrived_channel
+from acquire.channels.link import LinkLog, WriteMessages, arrived_channel
 from acquire.channels.receiver import ReceiverDecoder
 from acquire.channels.vehicle import VehicleDecoder
 from acquire.log.chunk import ARRIVED_HEAD, Channel
@@ -25,7 +25,7 @@ from photocal.base.console import printable
 
 def link_sessions(
     configuration: RecordingConfiguration,
-    writer: MessageWriter,
+    write: WriteMessages,
     sources: dict[str, Source],
     positions: dict[str, CasterPosition],
     dialect: Dialect,
@@ -36,7 +36,7 @@ def link_sessions(
     sessions = {
         link.name: LinkSession(
             link,
-            writer,
+            write,
             sources[link.name],
             dialect,
             DeviceLine(link, sources[link.name], dialect, clock_ns, steady_s),
@@ -51,33 +51,23 @@ def link_sessions(
     return sessions
 
 
-class ShieldedDecoder:
-    """Decodes as long as the decoder does: whatever it stumbles over, the frames themselves are kept.
+def decoder_of(link: LinkConfiguration, dialect: Dialect, tell: Callable[[str], None]) -> Decoder:
+    """Return what decodes the frames of a link: whatever it stumbles over, the frames themselves are kept.
 
-    `failure` tells its first failure in words, until it is taken away.
+    tell: takes its failures in words.
     """
+    vehicle = link.protocol == "mavlink"
+    decode = VehicleDecoder(link.name, dialect).feed if vehicle else ReceiverDecoder(link.name).feed
 
-    def __init__(self, decoder: Decoder) -> None:
-        self._decoder = decoder
-        self._failed = False
-        self.failure = ""
-
-    def feed(self, batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
-        """Decode a batch, see `Decoder`."""
+    def shielded(batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
+        """Decode a batch, or nothing of it."""
         try:
-            return self._decoder.feed(batch, log_ns)
+            return decode(batch, log_ns)
         except Exception as failure:
-            if not self._failed:
-                self.failure = printable(f"{type(failure).__name__}: {failure}")
-            self._failed = True
+            tell(printable(f"{type(failure).__name__}: {failure}"))
             return log_ns, []
 
-
-def decoder_of(link: LinkConfiguration, dialect: Dialect) -> ShieldedDecoder:
-    """Return what decodes the frames of a link."""
-    if link.protocol == "mavlink":
-        return ShieldedDecoder(VehicleDecoder(link.name, dialect))
-    return ShieldedDecoder(ReceiverDecoder(link.name))
+    return shielded
 
 
 class LinkSession:
@@ -89,17 +79,19 @@ class LinkSession:
     def __init__(
         self,
         link: LinkConfiguration,
-        writer: MessageWriter,
+        write: WriteMessages,
         source: Source,
         dialect: Dialect,
         device: DeviceLine,
     ) -> None:
         self.name = link.name
         self.device = device
-        self._decoder = decoder_of(link, dialect)
-        self.log = LinkLog(writer, link.name, [self._decoder])
+        # The failures of the decoder; the first one is told.
+        self._failures: list[str] = []
+        self._failed = False
+        self.log = LinkLog(write, link.name, [decoder_of(link, dialect, self._failures.append)])
         self.listeners: list[DeviceLine] = []
-        self._writer = writer
+        self._write_messages = write
         self._source = source
         self._encoding = link.protocol
         self._framer = StreamFramer(wires_of(link.protocol), dialect)
@@ -132,7 +124,7 @@ class LinkSession:
             offset += len(data)
         times = np.array([time_ns for time_ns, _ in pieces], np.int64)
         channel = arrived_channel(self.name, self._encoding)
-        self._writer.messages(channel, payloads, times, times, np.arange(len(payloads)))
+        self._write_messages(channel, payloads, times, times, np.arange(len(payloads)))
         self._kept = offset
 
     def close(self) -> None:
@@ -147,13 +139,11 @@ class LinkSession:
             self._forward(batch)
         self.log_sent()
         alarms = self.device.alarms(steady_s)
-        if failure := self._decoder.failure:
-            self._decoder.failure = ""
-            alarms.append(
-                Alarm(
-                    "device", self.name, f"cannot be decoded, only raw frames are kept: {failure}", clock_ns
-                )
-            )
+        if self._failures and not self._failed:
+            self._failed = True
+            text = f"cannot be decoded, only raw frames are kept: {self._failures[0]}"
+            alarms.append(Alarm("device", self.name, text, clock_ns))
+        self._failures.clear()
         return alarms
 
     def log_sent(self) -> None:
@@ -161,7 +151,7 @@ class LinkSession:
         for sent_ns, encoding, frame in self.device.sent():
             time_ns = np.array([sent_ns], np.int64)
             channel = Channel(f"/{self.name}/sent", encoding)
-            self._writer.messages(channel, [frame], time_ns, time_ns, np.array([self._sent]))
+            self._write_messages(channel, [frame], time_ns, time_ns, np.array([self._sent]))
             self._sent += 1
 
     def _forward(self, batch: Batch) -> None:

@@ -14,7 +14,8 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from acquire.log.chunk import MAGIC, MOST_UNSAFE, SealedChunk
+from acquire.log.chunk import MOST_UNSAFE, SealedChunk
+from acquire.log.reader import has_end
 from acquire.log.writer import LogWriter
 from photocal.base.operating_system import sync_folder
 
@@ -125,16 +126,7 @@ def new_log(
 
 def unclosed(folder: Path) -> list[Path]:
     """Return the logs in a folder that have no end: recordings that were cut off, or still run."""
-    return [path for path in sorted(folder.glob("flight-*.mcap")) if not _has_end(path)]
-
-
-def _has_end(path: Path) -> bool:
-    try:
-        with path.open("rb") as stream:
-            stream.seek(-len(MAGIC), io.SEEK_END)
-            return stream.read() == MAGIC and stream.tell() > len(MAGIC)
-    except OSError:
-        return False
+    return [path for path in sorted(folder.glob("flight-*.mcap")) if not has_end(path)]
 
 
 def in_background(name: str, act: Callable[[], None]) -> "Future[None]":

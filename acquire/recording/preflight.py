@@ -56,7 +56,7 @@ def check(
     """Listen to all links for a while and judge what was heard."""
     stop = threading.Event()
     framers = {link.name: StreamFramer(wires_of(link.protocol), dialect) for link in configuration.link}
-    decoders = {link.name: decoder_of(link, dialect) for link in configuration.link}
+    decoders = {link.name: decoder_of(link, dialect, lambda _: None) for link in configuration.link}
     heard = {link.name: _Heard() for link in configuration.link}
     until = host.steady_s() + seconds
     inboxes, readers = start_readers(sources, stop, host.clock_ns)
@@ -102,7 +102,7 @@ def _hear(heard: _Heard, link: str, batch: Batch, time_ns: int, decoder: Decoder
     heard.counts.update({name: len(batch.where(Wire.UBX, kind)) for name, kind in _PERIODIC.items()})
     if known.any():
         heard.autopilots.update(autopilots(batch, dialect))
-    _, decoded = decoder.feed(batch, np.full(len(batch), time_ns))
+    _, decoded = decoder(batch, np.full(len(batch), time_ns))
     by_topic = {part.channel.topic: part for part in decoded}
     status = by_topic.get(f"/gnss/{link}/status")
     for part in filter(None, (status, by_topic.get("/clock"))):

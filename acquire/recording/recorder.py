@@ -17,9 +17,7 @@ from acquire.recording.alarms import (
     LEAST_JUMP_S,
     Alarm,
     AlarmLimit,
-    ClockWatch,
-    FloodWatch,
-    SilenceWatch,
+    RecordingWatch,
     write_alarms,
 )
 from acquire.recording.caster_position import CasterPosition, caster_positions
@@ -130,7 +128,8 @@ def record(
     if warning := expiry_warning(host.clock_ns()):
         lines.put(f"warning: {warning}")
     compile_search()
-    sessions = link_sessions(configuration, files, opened, positions, dialect, host.clock_ns, host.steady_s)
+    clocks = host.clock_ns, host.steady_s
+    sessions = link_sessions(configuration, files.messages, opened, positions, dialect, *clocks)
     flight = _Flight(configuration, files, sessions, host, lines.put)
     inboxes, readers = start_readers(opened, stop, host.clock_ns)
     try:
@@ -202,9 +201,7 @@ class _Flight:
         now = host.steady_s()
         self._limit = AlarmLimit()
         self._raised = 0
-        self._clock = ClockWatch()
-        self._flood = FloodWatch()
-        self._silence = SilenceWatch({link.name: link.silent_s for link in configuration.link}, now)
+        self._watch = RecordingWatch({link.name: link.silent_s for link in configuration.link}, now)
         self._safe_at = now + self._recording.flush_s
         self._disk_at = now
         self._disk_announced = False
@@ -220,9 +217,9 @@ class _Flight:
         self._raise(
             [
                 *self._jump(),
-                *self._silence.look(now, clock_ns),
+                *self._watch.silences(now, clock_ns),
                 *self._disk(now),
-                *self._flood.look(inboxes, now, clock_ns),
+                *self._watch.floods(inboxes, now, clock_ns),
             ]
         )
         if self._files.open_bytes > CHUNK_BYTES:
@@ -238,7 +235,7 @@ class _Flight:
         until = time.monotonic() + patience_s
         while any(map(len, inboxes.values())) and time.monotonic() < until:
             self._take(inboxes, self._host.steady_s())
-        self._raise(self._flood.look(inboxes, math.inf, self._host.clock_ns()))
+        self._raise(self._watch.floods(inboxes, math.inf, self._host.clock_ns()))
         for name, session in self.sessions.items():
             if len(inboxes[name]):
                 text = "some data were not framed before the end: acquire recover frames the rest"
@@ -274,7 +271,7 @@ class _Flight:
             taken = [arrival for arrival in arrivals if arrival.data]
             batch = session.take(taken) if taken else None
             if batch is not None and len(batch):
-                self._raise(self._silence.hear(name, now, clock_ns))
+                self._raise(self._watch.hear(name, now, clock_ns))
             self._raise(session.converse(batch, now, clock_ns))
 
     def _jump(self) -> list[Alarm]:
@@ -282,7 +279,7 @@ class _Flight:
         before = self._host.steady_s()
         clock_ns = self._host.clock_ns()
         after = self._host.steady_s()
-        return self._clock.look(clock_ns, before) if after - before < LEAST_JUMP_S / 5 else []
+        return self._watch.jump(clock_ns, before) if after - before < LEAST_JUMP_S / 5 else []
 
     def _look_at_disk(self, folder: Path) -> None:
         """Ask how much room there is; runs in the thread of its outlet."""
@@ -310,7 +307,7 @@ class _Flight:
         passed = self._limit.take(alarms, math.inf if last else self._host.steady_s())
         for alarm in passed:
             self._tell(str(alarm))
-        write_alarms(self._files, passed, self._raised)
+        write_alarms(self._files.messages, passed, self._raised)
         self.alarms.extend(passed)
         self._raised += len(passed)
 

@@ -1,14 +1,12 @@
 """MAVLink payloads to arrays, all messages of one kind at once, and single messages to frames."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.checksums import x25
-from drivers.frames import Batch, Wire, gather
+from drivers.frames import Batch, Messages, Wire, gather
 from drivers.mavlink.dialect import V2, Dialect
 from photocal.base.arrays import Bytes, Integers
 
@@ -17,35 +15,15 @@ FRAGMENT_BYTES, FRAGMENTS = 180, 4
 GROUND_STATION, NO_AUTOPILOT = 6, 8
 
 
-@dataclass(frozen=True, slots=True)
-class MavlinkMessages:
-    """Messages of one kind.
-
-    index (n,): position of each message in the batch.
-    system, component: who sent it.
-    fields (n,): the fields by the names and in the units of the MAVLink definition; extension fields that
-        were not sent are zero, as the standard has it.
-    """
-
-    index: Integers
-    system: Bytes
-    component: Bytes
-    fields: NDArray[Any]
-
-    def __len__(self) -> int:
-        return len(self.index)
-
-
-def decode(batch: Batch, message: int, dialect: Dialect) -> MavlinkMessages:
-    """Decode all intact frames of one known message."""
+def decode(batch: Batch, message: int, dialect: Dialect) -> Messages:
+    """Decode all intact frames of one known message; extension fields that were not sent are zero."""
     index = batch.where(Wire.MAVLINK, message)
     start = batch.start[index]
     octets = np.frombuffer(batch.data, np.uint8)
     second = octets[start] == V2
     payload = start + np.where(second, 10, 6)
     fields = gather(batch.data, payload, octets[start + 1].astype(np.int64), dialect.layout(message))
-    system, component = sources(batch, index)
-    return MavlinkMessages(index, system, component, fields)
+    return Messages(index, fields)
 
 
 def sources(batch: Batch, index: Integers) -> tuple[Bytes, Bytes]:
@@ -60,7 +38,8 @@ def autopilots(batch: Batch, dialect: Dialect) -> list[tuple[int, int]]:
     """Return system and component of those that say by their heartbeats that they are autopilots."""
     beats = decode(batch, dialect.number("HEARTBEAT"), dialect)
     flying = (beats.fields["type"] != GROUND_STATION) & (beats.fields["autopilot"] != NO_AUTOPILOT)
-    return list(zip(beats.system[flying].tolist(), beats.component[flying].tolist(), strict=True))
+    system, component = sources(batch, beats.index[flying])
+    return list(zip(system.tolist(), component.tolist(), strict=True))
 
 
 def sequences(batch: Batch, index: Integers) -> Bytes:

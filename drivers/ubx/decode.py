@@ -4,14 +4,13 @@ Layouts after u-blox's interface descriptions (M8 protocol 15 to 23.01, F9 HPG 1
 units of the wire; only what needs scaling before it has a meaning is scaled here, and says so in its name.
 """
 
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frames import Batch, Wire, gather
+from drivers.frames import Batch, Messages, Wire, gather
 from drivers.receiver import BASE_UTC, TimeMarks
 from photocal.base.arrays import Floats, Integers
 from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS, utc_date_ns, utc_to_gps_ns, week_to_ns
@@ -72,22 +71,6 @@ def kind_name(kind: int) -> str:
     return str(UBX_MSGIDS.get(kind.to_bytes(2, "big"), f"{kind >> 8:02X}-{kind & 0xFF:02X}"))
 
 
-@dataclass(frozen=True, slots=True)
-class UbxMessages:
-    """Messages of one kind.
-
-    index (n,): position of each message in the batch.
-    fields (n,): the fields by the names and in the units of the interface description (of RXM-SFRBX the
-        header only).
-    """
-
-    index: Integers
-    fields: NDArray[Any]
-
-    def __len__(self) -> int:
-        return len(self.index)
-
-
 def correction_age_s(pvt: NDArray[Any]) -> Floats:
     """Return the age of the last differential correction that NAV-PVT tells, seconds.
 
@@ -105,14 +88,17 @@ def civil_utc_ns(fields: Any) -> Integers:
     return np.asarray(date_ns + seconds * SECOND_NS + fields["nano"])
 
 
-def decode(batch: Batch, kind: int) -> UbxMessages:
-    """Decode all messages of a kind of fixed size; polls and shorter versions are left out."""
+def decode(batch: Batch, kind: int) -> Messages:
+    """Decode all messages of a kind of fixed size; polls and shorter versions are left out.
+
+    Fields are those of the interface description, of RXM-SFRBX the header only.
+    """
     row = layout(kind)
     index = batch.where(Wire.UBX, kind)
     payload = batch.length[index] - 8
     # NAV-PVT had 84 bytes before protocol 15: what it lacks reads as zero.
     index = index[payload >= (84 if kind == NAV_PVT else row.itemsize)]
-    return UbxMessages(index, gather(batch.data, batch.start[index] + 6, batch.length[index] - 8, row))
+    return Messages(index, gather(batch.data, batch.start[index] + 6, batch.length[index] - 8, row))
 
 
 def time_marks(fields: NDArray[Any]) -> TimeMarks:
@@ -141,7 +127,7 @@ def _edges(fields: NDArray[Any], letter: str, bit: int) -> tuple[NDArray[Any], .
     )
 
 
-def decode_rawx(batch: Batch) -> UbxMessages:
+def decode_rawx(batch: Batch) -> Messages:
     """Decode the epochs of all RXM-RAWX messages whose length agrees with their number of signals.
 
     Their fields are receiver time (`rcvTow` in seconds of `week`), leap seconds and number of signals.
@@ -149,4 +135,4 @@ def decode_rawx(batch: Batch) -> UbxMessages:
     messages = decode(batch, RXM_RAWX)
     count = messages.fields["numMeas"].astype(np.int64)
     whole = batch.length[messages.index] == 24 + signal_layout().itemsize * count
-    return UbxMessages(messages.index[whole], messages.fields[whole])
+    return Messages(messages.index[whole], messages.fields[whole])

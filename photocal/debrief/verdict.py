@@ -82,7 +82,7 @@ def coverage(
     velocity = placed.velocity_m_s[rows]
     beside = np.gradient(station, seconds + 1e-6 * np.arange(len(rows)), axis=0)
     velocity = np.where(np.isfinite(velocity), velocity, beside)
-    turn = orientations(exposures, rig).rotation[rows].copy()
+    turn = orientations(exposures, rig)[0][rows].copy()
     # Without attitude the camera looks down, its upper edge ahead.
     s, c = np.sin(course := np.arctan2(velocity[:, 0], velocity[:, 1])), np.cos(course)
     level = np.zeros_like(turn)

@@ -175,6 +175,18 @@ class OrientedImages:
                 pixels[rows] = plane_to_pixel(camera.size_px, camera.pitch, projected(camera, q[rows]))
         return pixels
 
+    def directions(self, places: Floats) -> Floats:
+        """Directions in object space of rays through places of each image, shape (n, m, 3).
+
+        places (m, 2): shares of the width and the height, from the upper left corner.
+        """
+        rays = []
+        for camera in self.cameras:
+            plane = pixel_to_plane(camera.size_px, camera.pitch, places * camera.size_px - 0.5)
+            ideal = undistorted(camera, plane)
+            rays.append(np.column_stack([ideal, np.full(len(ideal), -camera.values[0])]))
+        return np.asarray(np.einsum("mkc,mcd->mkd", np.array(rays)[self.camera], self.rotation))
+
     def ideal(self, image: Integers, pixels: Floats) -> tuple[Floats, Floats]:
         """Undistorted image coordinates from the principal point, shape (m, 2), and their c, shape (m,).
 

@@ -48,48 +48,44 @@ class ClockSegment:
         return abs(self.rate - 1) > playback_limit
 
 
-@dataclass(frozen=True)
-class ClockModel:
-    """The stretches of a clock, in the order of the readings."""
+# The stretches of a clock, in the order of the readings.
+Stretches = tuple[ClockSegment, ...]
 
-    segments: tuple[ClockSegment, ...]
 
-    @property
-    def jumps_s(self) -> list[float]:
-        """Steps between the stretches, seconds of the reference."""
-        steps = []
-        for a, b in itertools.pairwise(self.segments):
-            expected = a.offset_s + a.rate * (b.first_ns - a.first_ns) / 1e9
-            steps.append((b.origin_ns - a.origin_ns) / 1e9 + b.offset_s - expected)
-        return steps
+def jumps_s(stretches: Stretches) -> list[float]:
+    """Return the steps between stretches, seconds of the reference."""
+    steps = []
+    for a, b in itertools.pairwise(stretches):
+        expected = a.offset_s + a.rate * (b.first_ns - a.first_ns) / 1e9
+        steps.append((b.origin_ns - a.origin_ns) / 1e9 + b.offset_s - expected)
+    return steps
 
-    def convert(self, device_ns: Integers) -> tuple[Integers, Floats]:
-        """Return the reference's time of readings of the device and its standard deviation (s).
 
-        Of several stretches with the same readings of the device (a restart) the first counts; between
-        stretches the nearer one is extended.
-        """
-        distance = [
-            np.maximum(np.maximum(s.first_ns - device_ns, device_ns - s.last_ns), 0) for s in self.segments
-        ]
-        chosen = np.argmin(np.stack(distance), axis=0)
-        time = np.zeros(len(device_ns), np.int64)
-        sigma = np.zeros(len(device_ns))
-        for number, s in enumerate(self.segments):
-            rows = chosen == number
-            elapsed = (device_ns[rows] - s.first_ns) / 1e9
-            # The whole part of the elapsed time stays an integer: a double holds only 100 ns over years.
-            part = s.offset_s + (s.rate - 1) * elapsed
-            time[rows] = s.origin_ns + (device_ns[rows] - s.first_ns) + np.rint(part * 1e9).astype(np.int64)
-            cross = 2 * elapsed * s.correlation * s.offset_sigma_s * s.rate_sigma
-            variance = s.offset_sigma_s**2 + (elapsed * s.rate_sigma) ** 2 + cross
-            sigma[rows] = np.sqrt(np.maximum(variance, 0.0))
-        return time, sigma
+def converted(stretches: Stretches, device_ns: Integers) -> tuple[Integers, Floats]:
+    """Return the reference's time of readings of the device and its standard deviation (s).
+
+    Of several stretches with the same readings of the device (a restart) the first counts; between
+    stretches the nearer one is extended.
+    """
+    distance = [np.maximum(np.maximum(s.first_ns - device_ns, device_ns - s.last_ns), 0) for s in stretches]
+    chosen = np.argmin(np.stack(distance), axis=0)
+    time = np.zeros(len(device_ns), np.int64)
+    sigma = np.zeros(len(device_ns))
+    for number, s in enumerate(stretches):
+        rows = chosen == number
+        elapsed = (device_ns[rows] - s.first_ns) / 1e9
+        # The whole part of the elapsed time stays an integer: a double holds only 100 ns over years.
+        part = s.offset_s + (s.rate - 1) * elapsed
+        time[rows] = s.origin_ns + (device_ns[rows] - s.first_ns) + np.rint(part * 1e9).astype(np.int64)
+        cross = 2 * elapsed * s.correlation * s.offset_sigma_s * s.rate_sigma
+        variance = s.offset_sigma_s**2 + (elapsed * s.rate_sigma) ** 2 + cross
+        sigma[rows] = np.sqrt(np.maximum(variance, 0.0))
+    return time, sigma
 
 
 def fit_clock(
     device_ns: Integers, reference_ns: Integers, resolution_s: float = 1e-3, least_jump_s: float = 0.05
-) -> ClockModel:
+) -> Stretches:
     """Fit offset and rate between two clocks from simultaneous readings."""
     if len(device_ns) < _LEAST_READINGS:
         raise IllPosedError(
@@ -108,7 +104,7 @@ def fit_clock(
             pieces = [h for h in halves if h[1] - h[0] >= _LEAST_READINGS] + pieces
     if not segments:
         raise IllPosedError("the clock restarts too often to be followed", "check the recording")
-    return ClockModel(tuple(_fit(device_ns[a:b], reference_ns[a:b], resolution_s) for a, b in segments))
+    return tuple(_fit(device_ns[a:b], reference_ns[a:b], resolution_s) for a, b in segments)
 
 
 def _seconds(ns: Integers) -> Floats:
@@ -196,20 +192,20 @@ class ComparedClocks:
     """One clock against another.
 
     name: which two, and what told it.
-    cycles: one model for each time that the device was switched on.
+    cycles: the stretches of each time that the device was switched on.
     constant_sigma_s: standard deviation of an error that all readings share.
     start_host_ns (cycles,): arrival of the first reading of each cycle; empty where there is one.
     """
 
     name: str
-    cycles: tuple[ClockModel, ...]
+    cycles: tuple[Stretches, ...]
     constant_sigma_s: float = 0.0
     start_host_ns: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @property
     def scatter_s(self) -> float:
         """Robust standard deviation of one reading, the largest of all stretches."""
-        return max(s.scatter_s for model in self.cycles for s in model.segments)
+        return max(s.scatter_s for stretches in self.cycles for s in stretches)
 
     @property
     def sigma_s(self) -> float:
@@ -223,30 +219,30 @@ class ComparedClocks:
         """
         cycle = np.clip(np.searchsorted(self.start_host_ns, host_ns, side="right") - 1, 0, None)
         time, sigma = np.zeros(len(device_ns), np.int64), np.zeros(len(device_ns))
-        for number, model in enumerate(self.cycles):
+        for number, stretches in enumerate(self.cycles):
             rows = cycle == number
-            time[rows], sigma[rows] = model.convert(device_ns[rows])
+            time[rows], sigma[rows] = converted(stretches, device_ns[rows])
         return time, np.hypot(sigma, self.sigma_s)
 
     @property
     def played_back(self) -> bool:
         """Whether the two cannot both have run in real time."""
-        return any(s.played_back for model in self.cycles for s in model.segments)
+        return any(s.played_back for stretches in self.cycles for s in stretches)
 
     def figures(self) -> dict[str, Any]:
         """Return the figures for a summary."""
         return {
             **picked(self, "played_back", "constant_sigma_s", clocks="name"),
             "restarts": len(self.cycles) - 1,
-            "jumps_s": [jump for model in self.cycles for jump in model.jumps_s],
+            "jumps_s": [jump for stretches in self.cycles for jump in jumps_s(stretches)],
             "stretches": [
                 {
                     **picked(s, "readings", "offset_sigma_s", "rate", "drift_ppm", "scatter_s"),
                     "seconds": (s.last_ns - s.first_ns) / 1e9,
                     "drift_sigma_ppm": s.rate_sigma * 1e6,
                 }
-                for model in self.cycles
-                for s in model.segments
+                for stretches in self.cycles
+                for s in stretches
             ],
         }
 
@@ -288,15 +284,14 @@ def clock_sentences(clocks: list[ComparedClocks]) -> list[str]:
     for clock in clocks:
         if len(clock.cycles) > 1:
             sentences.append(f"{clock.name}: started anew {len(clock.cycles) - 1} times")
-        jumps = [jump for model in clock.cycles for jump in model.jumps_s]
+        jumps = [jump for stretches in clock.cycles for jump in jumps_s(stretches)]
         if jumps:
             listed = ", ".join(f"{jump:+.3f} s" for jump in jumps[:5])
             sentences.append(f"{clock.name}: {len(jumps)} jumps, {listed}{', ...' if len(jumps) > 5 else ''}")
         if clock.played_back:
-            stretches = [stretch for model in clock.cycles for stretch in model.segments]
-            speed = max(stretches, key=lambda stretch: stretch.readings).rate
+            longest = max(itertools.chain(*clock.cycles), key=lambda stretch: stretch.readings)
             sentences.append(
-                f"{clock.name}: not in real time, mostly at {speed:.2f} times the speed: "
+                f"{clock.name}: not in real time, mostly at {longest.rate:.2f} times the speed: "
                 "times of arrival are not used"
             )
     return sentences

@@ -13,9 +13,9 @@ from photocal.base.geodesy import GeodeticPlace, enu_axes, enu_offsets
 from photocal.block.model import Block, Images
 from photocal.navigation.exposure_run import ExposureRun
 from photocal.navigation.exposure_sources import ELLIPSOIDAL
-from photocal.navigation.exposures import Exposures, Orientations, names_cell, orientations
+from photocal.navigation.exposures import Exposures, names_cell, orientations, orientations_in_frame
 from photocal.navigation.rig import CameraOnBody
-from photocal.navigation.trajectory import COLUMNS, LARGEST_GAP_S, covariance_cells
+from photocal.navigation.trajectory import COLUMNS, LARGEST_GAP_S, position_cells
 
 COLOURS = {"fixed": "tab:green", "float": "tab:orange", "single": "tab:red"}
 EVENT_COLUMNS = (
@@ -106,12 +106,7 @@ def write_exposures(path: Path, exposures: Exposures) -> None:
     second = exposures.above_take_off_m
     rows = []
     for i in range(len(exposures)):
-        cells = [""] * 10
-        if p.placed[i]:
-            position = (f"{p.lat_deg[i]:.10f}", f"{p.lon_deg[i]:.10f}", f"{p.height_m[i]:.4f}")
-            known = np.isfinite(p.covariance_m2[i]).all()
-            sigmas = covariance_cells(p.covariance_m2[i]) if known else [""] * 6
-            cells = [*position, str(p.status[i]), *sigmas]
+        cells = position_cells(p, i) if p.placed[i] else [""] * 10
         angles = ["" if np.isnan(v) else f"{np.degrees(v):.5f}" for v in all_angles[i].tolist()]
         angles[2] = angles[2] and f"{float(angles[2]) % 360:.5f}"
         row = [int(exposures.time.ns[i]), *cells, names_cell(exposures.images[i]), *angles]
@@ -166,8 +161,8 @@ def _oriented(
     place = p.place[rows]
     lat, lon, height = place.T
     xyz, turn, frame = in_frame(lat, lon, height, np.mean(place, axis=0), crs)
-    whole = orientations(exposures, rig)
-    return rows, xyz, Orientations(whole.rotation[rows], whole.covariance[rows]).in_frame(turn), frame
+    rotation, covariance = orientations(exposures, rig)
+    return rows, xyz, orientations_in_frame(rotation[rows], covariance[rows], turn), frame
 
 
 def _write_covariances(path: Path, names: list[str], lower: list[Floats]) -> None:
@@ -225,7 +220,7 @@ def write_geo_txt(path: Path, exposures: Exposures, rig: CameraOnBody) -> str:
     from photocal.exchange.ground_points import angles_of_geo, write_geo
 
     p = exposures.placed
-    angles = angles_of_geo(orientations(exposures, rig).rotation)
+    angles = angles_of_geo(orientations(exposures, rig)[0])
     east, north, up = np.sqrt(np.diagonal(p.covariance_m2, axis1=1, axis2=2)).T
     places = np.column_stack([np.round(p.lon_deg, 10), np.round(p.lat_deg, 10), np.round(p.height_m, 4)])
     turned = np.column_stack([np.round(angles, 5), np.round(np.hypot(east, north), 4), np.round(up, 4)])

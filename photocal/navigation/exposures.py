@@ -375,37 +375,15 @@ def at_camera(exposures: Exposures, rig: CameraOnBody) -> Exposures:
     return replace(exposures, placed=placed, cross=cross)
 
 
-@dataclass(frozen=True)
-class Orientations:
-    """Exterior orientations in the axes east, north, up at each exposure.
-
-    rotation (n, 3, 3): to camera axes, boresight included; NaN where unknown.
-    covariance (n, 6, 6): of east, north, up (m) and the turns t about the camera axes, rad: true = exp([t]x)
-        rotation.
-    """
-
-    rotation: Floats
-    covariance: Floats
-
-    def in_frame(self, turn: Floats) -> tuple[Floats, Floats]:
-        """Return omega, phi, kappa (rad) and the covariance of position and angles in other axes."""
-        angles = angles_from_matrix(self.rotation @ np.swapaxes(turn, 1, 2))
-        safe = np.where(np.isfinite(angles), angles, 0.0)
-        parts = (slice(0, 3), turn), (slice(3, 6), np.linalg.inv(turn_per_angle(safe)))
-        covariance = np.empty_like(self.covariance)
-        # Block by block: where angles are unknown the positions are not.
-        for rows, left in parts:
-            for columns, right in parts:
-                block = left @ self.covariance[:, rows, columns] @ np.swapaxes(right, 1, 2)
-                covariance[:, rows, columns] = block
-        return angles, covariance
-
-
-def orientations(exposures: Exposures, rig: CameraOnBody) -> Orientations:
+def orientations(exposures: Exposures, rig: CameraOnBody) -> tuple[Floats, Floats]:
     """Return the exterior orientations: the body's attitude through camera axes and boresight.
 
     The boresight b turns the nominal camera axes A by exp([b]x); its own error and that of the attitude add,
     t = J s - exp([b]x) A t_body with J the left Jacobian of the rotation group at b (Chirikjian 2012, 10.86).
+
+    returns: rotations (n, 3, 3) from east, north, up at each exposure to camera axes, boresight included, NaN
+        where unknown; covariances (n, 6, 6) of east, north, up (m) and the turns t about the camera axes,
+        rad: true = exp([t]x) rotation.
     """
     to_camera = np.asarray(Rotation.from_rotvec(rig.boresight).as_matrix() @ rig.axes)
     jacobian = left_jacobian(rig.boresight)
@@ -415,7 +393,23 @@ def orientations(exposures: Exposures, rig: CameraOnBody) -> Orientations:
     covariance[:, 3:, 3:] = to_camera @ exposures.attitude.covariance @ to_camera.T + of_boresight
     covariance[:, :3, 3:] = -exposures.cross @ to_camera.T
     covariance[:, 3:, :3] = np.swapaxes(covariance[:, :3, 3:], 1, 2)
-    return Orientations(to_camera @ exposures.attitude.rotation, covariance)
+    return to_camera @ exposures.attitude.rotation, covariance
+
+
+def orientations_in_frame(rotation: Floats, covariance: Floats, turn: Floats) -> tuple[Floats, Floats]:
+    """Return omega, phi, kappa (rad) and the covariance of position and angles in other axes.
+
+    rotation, covariance: of `orientations`; turn (n, 3, 3): from east, north, up to those axes.
+    """
+    angles = angles_from_matrix(rotation @ np.swapaxes(turn, 1, 2))
+    safe = np.where(np.isfinite(angles), angles, 0.0)
+    parts = (slice(0, 3), turn), (slice(3, 6), np.linalg.inv(turn_per_angle(safe)))
+    turned = np.empty_like(covariance)
+    # Block by block: where angles are unknown the positions are not.
+    for rows, left in parts:
+        for columns, right in parts:
+            turned[:, rows, columns] = left @ covariance[:, rows, columns] @ np.swapaxes(right, 1, 2)
+    return angles, turned
 
 
 def match_images(

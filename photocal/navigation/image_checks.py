@@ -142,7 +142,7 @@ def compare_with_oriented(
     """Compare relative rotations of every image and its follower; the frame of the block does not matter."""
     # An adjustment of many images knows rotations better than two images over flat ground do, whose tilt and
     # shift can hardly be told apart.
-    recorded = orientations(exposures, rig).rotation
+    recorded, _ = orientations(exposures, rig)
     place = places_of(exposures)
     rows = _common(exposures, oriented)
     pairs = []
@@ -175,7 +175,7 @@ def boresight_check(exposures: Exposures, oriented: OrientedImages, rig: CameraO
     quarter = stored_turns(compare_with_oriented(exposures, oriented, rig))
     turned = Rotation.from_rotvec([[0, 0, np.pi / 2 * quarter.get(row, 0)] for row in rows.tolist()])
     upright = turned.as_matrix() @ aligned.applied_to_rotations(oriented.rotation[rows])
-    recorded = orientations(exposures, rig).rotation[rows]
+    recorded = orientations(exposures, rig)[0][rows]
     turn = Rotation.from_matrix(upright @ np.swapaxes(recorded, 1, 2)).as_rotvec()
     value = np.median(turn, axis=0)
     spread = policy.mad_to_sigma * np.median(np.abs(turn - value), axis=0)

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.checksums import crc24q
+from drivers.frames import Frame, StreamFramer, Wire
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError, reading
 from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS
 from photocal.navigation.engine import Rtklib
@@ -51,22 +51,16 @@ class ReceiverForm:
     tried: bool = False
 
 
-def rtcm3_frames(data: bytes) -> Iterator[bytes]:
-    """Intact frames of RTCM 3, whatever stands between them."""
-    at = data.find(b"\xd3")
-    while 0 <= at <= len(data) - 6:
-        end = at + 6 + ((data[at + 1] & 3) << 8 | data[at + 2])
-        whole = data[at + 1] < 4 and end <= len(data)
-        if whole and crc24q(data[at : end - 3]) == int.from_bytes(data[end - 3 : end], "big"):
-            yield data[at:end]
-            at = data.find(b"\xd3", end)
-        else:
-            at = data.find(b"\xd3", at + 1)
+def frames_of(data: bytes, wire: Wire) -> Iterator[Frame]:
+    """Intact frames of a protocol of ours, whatever stands between them."""
+    framer = StreamFramer((wire,))
+    for at in range(0, len(data), _LOOKED_AT):
+        yield from framer.feed(data[at : at + _LOOKED_AT])
+    yield from framer.close()
 
 
-def ubx_frames(data: bytes) -> Iterator[bytes]:
-    """Frames of u-blox by their head and length; the converter tests their sums."""
-    return _chained(data, b"\xb5\x62", lambda at: 8 + int.from_bytes(data[at + 4 : at + 6], "little"))
+def _octets_of(wire: Wire) -> Callable[[bytes], Iterator[bytes]]:
+    return lambda data: (frame.data for frame in frames_of(data, wire))
 
 
 def sbf_frames(data: bytes) -> Iterator[bytes]:
@@ -101,8 +95,8 @@ def _chained(data: bytes, sync: bytes, length: Callable[[int], int]) -> Iterator
 
 
 FORMS = (
-    ReceiverForm("RTCM 3", "rtcm3", rtcm3_frames, (".rtcm3", ".rtcm", ".rtk", ".dat"), tried=True),
-    ReceiverForm("u-blox UBX", "ubx", ubx_frames, (".ubx",), tried=True),
+    ReceiverForm("RTCM 3", "rtcm3", _octets_of(Wire.RTCM3), (".rtcm3", ".rtcm", ".rtk", ".dat"), tried=True),
+    ReceiverForm("u-blox UBX", "ubx", _octets_of(Wire.UBX), (".ubx",), tried=True),
     ReceiverForm("Septentrio SBF", "sbf", sbf_frames, (".sbf",)),
     ReceiverForm("NovAtel OEM4/6/7", "nov", novatel_frames, (".gps", ".nov")),
     ReceiverForm("Hemisphere", "hemis", hemisphere_frames),
@@ -136,12 +130,7 @@ def form_of(data: bytes, path: Path) -> ReceiverForm:
     )
 
 
-def intact(data: bytes, form: ReceiverForm) -> bytes:
-    """What the converter is given: of RTCM 3 the intact frames, of others all."""
-    return b"".join(rtcm3_frames(data)) if form.converter == "rtcm3" else data
-
-
-def rtcm3_time(frames: list[bytes], path: Path, today: GpsTime, near: GpsTime | None) -> GpsTime:
+def rtcm3_time(frames: list[Frame], path: Path, today: GpsTime, near: GpsTime | None) -> GpsTime:
     """Approximate time of RTCM 3, whose observations tell the time of the week only.
 
     The date stands in message 1013, the week in ephemerides; else the other receiver's file or a date in the
@@ -167,31 +156,26 @@ def rtcm3_time(frames: list[bytes], path: Path, today: GpsTime, near: GpsTime | 
     return GpsTime(np.array([ns], np.int64))
 
 
-def _bits(frame: bytes, at: int, width: int) -> int:
+def _bits(frame: Frame, at: int, width: int) -> int:
     """Read an unsigned number from the message of a frame."""
-    whole = int.from_bytes(frame[3:-3], "big")
-    return whole >> (8 * (len(frame) - 6) - at - width) & ((1 << width) - 1)
+    message = frame.data[3:-3]
+    return int.from_bytes(message, "big") >> (8 * len(message) - at - width) & ((1 << width) - 1)
 
 
-def _kind(frame: bytes) -> int:
-    return frame[3] << 4 | frame[4] >> 4 if len(frame) >= 8 else 0
-
-
-def _date_told(frames: list[bytes]) -> int | None:
+def _date_told(frames: list[Frame]) -> int | None:
     for frame in frames:
         # DF051, DF052: modified Julian day (44 244 is 1980-01-06) and second of the day, UTC.
-        if _kind(frame) == 1013 and len(frame) >= 14:
+        if frame.kind == 1013 and len(frame.data) >= 14:
             return (_bits(frame, 24, 16) - 44_244) * _DAY_NS + _bits(frame, 40, 17) * SECOND_NS
     return None
 
 
-def _week_told(frames: list[bytes], today: int) -> int | None:
+def _week_told(frames: list[Frame], today: int) -> int | None:
     for frame in frames:
-        kind = _kind(frame)
         # DF289: week of Galileo, 12 bits, after number and satellite (6 bits); DF076: of GPS, 10 bits.
-        if kind in (1045, 1046):
+        if frame.kind in (1045, 1046):
             return _middle_of(_bits(frame, 18, 12) + _GALILEO_START)
-        if kind == 1019:
+        if frame.kind == 1019:
             week = _bits(frame, 18, 10)
             return _middle_of(week + (today - week) // _ROLLOVER * _ROLLOVER)
     return None
@@ -374,8 +358,11 @@ def _converted(
     form = form_of(data, path)
     near = None
     if form.converter == "rtcm3":
-        near = rtcm3_time(list(rtcm3_frames(data)), path, today, _first_epoch(other))
-    observations, navigation = engine.convert(intact(data, form), form.converter, stem, near)
+        # The converter is given the intact frames of RTCM 3, of others all.
+        frames = list(frames_of(data, Wire.RTCM3))
+        data = b"".join(frame.data for frame in frames)
+        near = rtcm3_time(frames, path, today, _first_epoch(other))
+    observations, navigation = engine.convert(data, form.converter, stem, near)
     if not observations.exists():
         raise InputMalformedError(
             f"is {form.name}, from which the converter gets no observations",

@@ -92,8 +92,16 @@ class Trajectory(Geodetic):
         return f"Trajectory from {self.time[[0]].iso()[0]} GPS, {seconds:.1f} s: {len(self)} epochs, {counts}"
 
 
-def covariance_cells(covariance_m2: Floats) -> list[str]:
-    """Return se, sn, su (standard deviations, m) and sen, seu, snu of one epoch."""
+def position_cells(p: "Trajectory | InterpolatedPositions", row: int) -> list[str]:
+    """Return what `COLUMNS` name of one epoch, but for its time."""
+    place = [f"{p.lat_deg[row]:.10f}", f"{p.lon_deg[row]:.10f}", f"{p.height_m[row]:.4f}"]
+    return [*place, str(p.status[row]), *_covariance_cells(p.covariance_m2[row])]
+
+
+def _covariance_cells(covariance_m2: Floats) -> list[str]:
+    """Return se, sn, su (standard deviations, m) and sen, seu, snu; blanks where they are not known."""
+    if not np.isfinite(covariance_m2).all():
+        return [""] * 6
     # The last three are roots of the covariances with the covariances' signs, in metres, as RTKLIB writes
     # them (RTKLIB manual 2.4.2, appendix B.1).
     c = covariance_m2
@@ -103,11 +111,8 @@ def covariance_cells(covariance_m2: Floats) -> list[str]:
 
 def write_trajectory(path: Path, trajectory: Trajectory) -> None:
     """Write the trajectory as CSV with `COLUMNS`."""
-    t, rows = trajectory, []
-    for i in range(len(t)):
-        position = (f"{t.lat_deg[i]:.10f}", f"{t.lon_deg[i]:.10f}", f"{t.height_m[i]:.4f}")
-        rows.append([int(t.time.ns[i]), *position, str(t.status[i]), *covariance_cells(t.covariance_m2[i])])
-    write_rows(path, COLUMNS, rows)
+    times = trajectory.time.ns.tolist()
+    write_rows(path, COLUMNS, [[ns, *position_cells(trajectory, i)] for i, ns in enumerate(times)])
 
 
 def enu_axes_at(xyz_m: Floats) -> Floats:
@@ -145,23 +150,13 @@ class InterpolatedPositions(Geodetic):
         return cls(there, gap, lat, lon, height, velocity, covariance, np.asarray(status, "U6"))
 
 
-@dataclass(frozen=True)
-class InterpolationTrials(Columns):
-    """Fixes that were left out and interpolated from their neighbours.
-
-    error_m (n, 3): measured less interpolated, east, north, up.
-    gap_s (n,): distance of the neighbours.
-    """
-
-    time: GpsTime
-    error_m: Floats
-    gap_s: Floats
-
-
-def left_out(trajectory: Trajectory) -> InterpolationTrials:
-    """Leave out every fix between two fixes in turn.
+def left_out(trajectory: Trajectory) -> tuple[GpsTime, Floats, Floats]:
+    """Leave out every fix between two fixes in turn and interpolate it from its neighbours.
 
     Only fixes are used: the step between a fix and a float position is no motion.
+
+    returns: times, errors (n, 3), measured less interpolated, east, north, up, and distances of the
+        neighbours (n,), s.
     """
     i = np.arange(1, len(trajectory) - 1)
     time = trajectory.time.ns
@@ -172,19 +167,20 @@ def left_out(trajectory: Trajectory) -> InterpolationTrials:
     local, _ = _local(trajectory)
     u = (time[i] - time[i - 1]) / (time[i + 1] - time[i - 1])
     position, _ = _hermite(local, trajectory.velocity_m_s, i - 1, i + 1, gap, u)
-    return InterpolationTrials(trajectory.time[i], local[i] - position, np.asarray(gap, np.float64))
+    return trajectory.time[i], local[i] - position, np.asarray(gap, np.float64)
 
 
-def roughness(trials: InterpolationTrials, time: GpsTime) -> Floats:
-    """Return how far the path strays from its interpolation around instants."""
+def roughness(trials: tuple[GpsTime, Floats, Floats], time: GpsTime) -> Floats:
+    """Return how far the path strays from its interpolation around instants, by trials of `left_out`."""
     least_trials = 20
-    if len(trials.gap_s) < least_trials:
+    trial_time, error_m, gap_s = trials
+    if len(gap_s) < least_trials:
         # Acceleration of a vehicle that is not known better, per component (small multirotors manoeuvre below
         # it).
         default_roughness = 0.5
         return np.full((len(time), 3), default_roughness)
-    square = (trials.error_m / trials.gap_s[:, None] ** 1.5) ** 2
-    return np.asarray(np.maximum(np.sqrt(local_mean_square(trials.time, square, time)), 1e-4))
+    square = (error_m / gap_s[:, None] ** 1.5) ** 2
+    return np.asarray(np.maximum(np.sqrt(local_mean_square(trial_time, square, time)), 1e-4))
 
 
 def local_mean_square(trial: GpsTime, square: Floats, time: GpsTime) -> Floats:

@@ -14,7 +14,7 @@ from acquire.channels.mounting import AutopilotMounting, mounting_of
 from acquire.log.reader import read_json
 from drivers.frames import Wire
 from drivers.identify import batch_of_payloads
-from drivers.mavlink.decode import decode
+from drivers.mavlink.decode import decode, sources
 from drivers.mavlink.dialect import ardupilotmega
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import IllPosedError
@@ -24,6 +24,7 @@ from photocal.navigation.attitude import AttitudeTrack, rotations_of_quaternions
 from photocal.navigation.device_clocks import (
     ComparedClocks,
     autopilot_clock,
+    converted,
     device_by_arrival,
     fit_clock,
 )
@@ -49,7 +50,7 @@ class TimeSync:
 
     def boot(self, host_ns: Integers) -> tuple[Integers, Floats]:
         """Return the autopilot's time since boot (ns) at moments of the host's clock, and the sigma (s)."""
-        time, sigma = self.boot_of_host.cycles[0].convert(host_ns)
+        time, sigma = converted(self.boot_of_host.cycles[0], host_ns)
         return time, np.hypot(sigma, self.boot_of_host.constant_sigma_s)
 
 
@@ -89,10 +90,9 @@ def clock_through_host(
     sync = time_sync(boot_ns, host_ns, round_trip_ns)
     if sync is None or sync.host_of_boot.played_back or gnss.played_back:
         return None
-    model = sync.host_of_boot.cycles[0]
     boot = np.sort(boot_ns)
-    host, _ = model.convert(boot)
-    epoch, _ = gnss.cycles[0].convert(host)
+    host, _ = converted(sync.host_of_boot.cycles[0], boot)
+    epoch, _ = converted(gnss.cycles[0], host)
     late = round(_RECEIVER_LATE_S * 1e9)
     utc = GpsTime(epoch + late).to_utc().ns
     try:
@@ -235,8 +235,8 @@ def _received(log: FlightLog, link: str | None) -> dict[str, Received]:
             if not len(got):
                 continue
             if owner is None and name in _TRACKS:
-                owner = int(got.system[0])
-            of_owner = np.ones(len(got), bool) if owner is None else got.system == owner
+                owner = int(sources(batch, got.index)[0][0])
+            of_owner = np.ones(len(got), bool) if owner is None else sources(batch, got.index)[0] == owner
             rows = got.index[of_owner]
             parts = received.setdefault(name, [])
             parts.append((messages.log_ns[rows], messages.publish_ns[rows], got.fields[of_owner]))

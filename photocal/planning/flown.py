@@ -8,8 +8,6 @@ import numpy as np
 
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import IllPosedError
-from photocal.geometry.camera import pixel_to_plane
-from photocal.geometry.distortion import undistorted
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.smear import SMEAR_LIMIT_PX, smear_px
 from photocal.planning.frame import TILT_TOLERANCE_RAD, TILT_WITH_EFFECT_RAD
@@ -117,7 +115,7 @@ def cells_seen(images: OrientedImages, ground: GroundCells) -> list[Integers]:
     size = images.sizes()
     low, high = ground.places[:, 2].min(), ground.places[:, 2].max()
     cells = []
-    for i, border in enumerate(directions(images, BORDER)):
+    for i, border in enumerate(images.directions(BORDER)):
         # Within the corners' circle alone: beyond, a distortion polynomial may fold ground into the image.
         middle, reach = _circle(images.station[i], border, low, high)
         near = _window(middle, reach + ground.cell_m, ground)
@@ -179,17 +177,6 @@ def gaps(block: FlownBlock, fewest: int = FEWEST_RAYS) -> list[tuple[float, floa
     return sorted(holes, key=lambda gap: -gap[2])
 
 
-def directions(images: OrientedImages, raster: Floats) -> Floats:
-    """Directions in object space of rays through places of each image (shares of its sides), (n, m, 3)."""
-    rays = []
-    for camera in images.cameras:
-        ideal = undistorted(
-            camera, pixel_to_plane(camera.size_px, camera.pitch, raster * camera.size_px - 0.5)
-        )
-        rays.append(np.column_stack([ideal, np.full(len(ideal), -camera.values[0])]))
-    return np.asarray(np.einsum("mkc,mcd->mkd", np.array(rays)[images.camera], images.rotation))
-
-
 def _circle(station: Floats, border: Floats, low: float, high: float) -> tuple[Floats, float]:
     """Middle and radius of what an image shows between two heights; rays to the horizon reach 5 heights."""
     height = max(station[2] - low, 1e-6)
@@ -208,7 +195,7 @@ def level_ground(images: OrientedImages, height_m: float) -> GroundCells:
     """Take the ground as level: before any point of it is known."""
     circles = [
         _circle(at, border, height_m, height_m)
-        for at, border in zip(images.station, directions(images, BORDER), strict=True)
+        for at, border in zip(images.station, images.directions(BORDER), strict=True)
     ]
     middle, radius = np.array([c[0] for c in circles]), np.array([c[1] for c in circles])
     # The shorter side of the footprint is at least some half of the circle.
@@ -248,7 +235,7 @@ def _cells_of_pixels(images: OrientedImages, ground: GroundCells) -> Integers:
     seen = []
     # Steps in which a ray meets the ground.
     steps = 4
-    for station, rays in zip(images.station, directions(images, raster), strict=True):
+    for station, rays in zip(images.station, images.directions(raster), strict=True):
         slope = rays[:, :2] / -np.minimum(rays[:, 2], -1e-9)[:, None]
         height = np.full(len(rays), station[2] - _ground_below(station[None], ground)[0])
         for _ in range(steps):

@@ -36,12 +36,8 @@ class Poses(NamedTuple):
     movement: Floats
 
 
-class GreyRange(NamedTuple):
-    """Range of the grey values to write, and whether they are whole numbers."""
-
-    lowest: float
-    highest: float
-    whole: bool
+# Range of the grey values to write, and whether they are whole numbers.
+GreyRange = tuple[float, float, bool]
 
 
 @inlined

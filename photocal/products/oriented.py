@@ -43,12 +43,11 @@ def best_places(
     return place, chosen
 
 
-def image_border(camera: Camera, per_side: int = 64) -> Floats:
-    """Pixel coordinates along the outer edge of an image, shape (4 per_side, 2)."""
-    width, height = camera.size_px
+def border(per_side: int = 64) -> Floats:
+    """Places along the outer edge of an image as shares of its sides, shape (4 per_side, 2)."""
     t = np.arange(per_side) / per_side
     ones = np.ones(per_side)
-    unit = np.vstack(
+    return np.vstack(
         [
             np.column_stack([t, 0 * ones]),
             np.column_stack([ones, t]),
@@ -56,13 +55,12 @@ def image_border(camera: Camera, per_side: int = 64) -> Floats:
             np.column_stack([0 * ones, 1 - t]),
         ]
     )
-    return np.asarray(unit * [width, height] - 0.5)
 
 
 def ideal_limit(camera: Camera) -> float:
     """Largest ideal radius that lies in the image, in the camera's unit."""
-    border = pixel_to_plane(camera.size_px, camera.pitch, image_border(camera))
-    ideal = np.linalg.norm(undistorted(camera, border), axis=1)
+    edge = pixel_to_plane(camera.size_px, camera.pitch, border() * camera.size_px - 0.5)
+    ideal = np.linalg.norm(undistorted(camera, edge), axis=1)
     # The limit only spares work beyond the image, it must never cut into it.
     seen = ideal[np.isfinite(ideal)].max(initial=0.0)
     whole = bool(np.isfinite(ideal).all())

@@ -12,27 +12,15 @@ from numpy.typing import NDArray
 
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError
-from photocal.geometry.camera import pixel_to_plane
-from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import LocalFrame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.kernels import GreyRange, resample
-from photocal.products.oriented import best_places, image_border, lens_tables
+from photocal.products.oriented import best_places, border, lens_tables
 from photocal.products.terrain import Bounds, Grid, TerrainSource, ground_points
 
 TILE = 512
 # What a pixel needs of memory while its tile is worked on is some 200 bytes; images are the larger part.
 IMAGE_MEMORY = 800_000_000
-
-
-def border_directions(shots: OrientedImages) -> Floats:
-    """Directions in object space of rays around the border of each image, shape (m, k, 3)."""
-    rays = []
-    for camera in shots.cameras:
-        plane = pixel_to_plane(camera.size_px, camera.pitch, image_border(camera, 16))
-        ideal = undistorted(camera, plane)
-        rays.append(np.column_stack([ideal, np.full(len(ideal), -camera.values[0])]))
-    return np.asarray(np.einsum("mkc,mcd->mkd", np.array(rays)[shots.camera], shots.rotation))
 
 
 def candidates(shots: OrientedImages, borders: Floats, ground: Floats) -> Integers:
@@ -63,7 +51,7 @@ def footprints(shots: OrientedImages, frame: LocalFrame, height: float) -> Bound
     """Rectangle around what the images show at one height, in the terrain's coordinates."""
     given = frame.to_given(shots.station)
     nadir = frame.to_local(np.column_stack([given[:, :2], np.full(len(given), height)]))
-    borders = border_directions(shots)
+    borders = shots.directions(border(16))
     with np.errstate(divide="ignore", invalid="ignore"):
         steps = (nadir[:, None, 2] - shots.station[:, None, 2]) / borders[..., 2]
         points = shots.station[:, None, :] + steps[..., None] * borders
@@ -151,7 +139,7 @@ class Recipe:
 def orthophoto(recipe: Recipe, images: ImageStore, workers: int) -> Iterator[Tile]:
     """Make an orthophoto tile by tile."""
     lenses = lens_tables(recipe.shots.cameras)
-    borders = border_directions(recipe.shots)
+    borders = recipe.shots.directions(border(16))
 
     def make(window: tuple[int, int, int, int]) -> Tile:
         """Colour one tile, from the images whose footprints reach it."""
@@ -206,11 +194,11 @@ def _windows(recipe: Recipe) -> list[tuple[int, int, int, int]]:
 def _range(recipe: Recipe) -> GreyRange:
     """Range of the values to write; whole numbers keep clear of the one that means nothing."""
     if recipe.dtype.startswith("float"):
-        return GreyRange(-np.inf, np.inf, False)
+        return -np.inf, np.inf, False
     limits = np.iinfo(np.dtype(recipe.dtype))
     lowest, highest = float(limits.min), float(limits.max)
     if recipe.nodata == lowest:
         lowest += 1
     elif recipe.nodata == highest:
         highest -= 1
-    return GreyRange(lowest, highest, True)
+    return lowest, highest, True

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from photocal.adjustment.solution import global_test
-from photocal.base.arrays import Floats, as_plain
+from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError, PhotocalError
 from photocal.base.files import output_picture
 from photocal.base.text_tables import read_table, refuse
@@ -248,14 +248,8 @@ def _tilt(cylinder: Cylinder) -> tuple[float, float]:
 
 def volume_json(volume: PropagatedVolume) -> dict[str, float]:
     """Give a volume as plain values."""
-    return {
-        "volume_m3": volume.value,
-        "variance_m6": volume.variance,
-        "radius_variance_m6": volume.radius_variance,
-        "height_variance_m6": volume.height_variance,
-        "sigma_m3": volume.sigma,
-        "sigma_percent": volume.percent,
-    }
+    variances = {f"{name}_m6": name for name in ("variance", "radius_variance", "height_variance")}
+    return picked(volume, volume_m3="value", **variances, sigma_m3="sigma", sigma_percent="percent")
 
 
 def tank_json(tank: Tank, axes: tuple[str, str, str], wall_thickness: float) -> dict[str, Any]:

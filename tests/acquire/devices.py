@@ -5,26 +5,31 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
+import numpy as np
+
 from acquire.simulate import playback
-from acquire.simulate.playback import ACCEPTED, acknowledged, ubx_message
+from acquire.simulate.playback import ACCEPTED, FlightClock, acknowledged, ubx_message
+from acquire.simulate.world.streams import RecordedWire
 
 DIGICAM_CONTROL = 203
 VERSIONS = {
     7: ("1.00 (59842)", "00070000", ("PROTVER 14.00",)),
     8: ("EXT CORE 3.01 (111141)", "00080000", ("FWVER=HPG 1.43", "PROTVER=20.30", "MOD=NEO-M8P-2")),
-    9: playback.SimulatedReceiver.version,
+    9: playback.FlownReceiver.version,
 }
 _PVT_EVERY_S = 0.2
+# They send nothing that was recorded: their flight never begins.
+NOTHING, NEVER = RecordedWire(np.empty(0), ()), FlightClock(["nobody"], 1.0)
 _FRAGMENT_BYTES = 180
 
 
-class Autopilot(playback.Autopilot):
+class Autopilot(playback.FlownAutopilot):
     """An autopilot that sends its own messages, takes pictures and corrections, and may refuse rates."""
 
     def __init__(
         self, start_utc_us: int, *, stubborn: bool = False, parameters: Mapping[str, float] | None = None
     ) -> None:
-        super().__init__(parameters)
+        super().__init__("vehicle", NOTHING, NEVER, parameters=parameters)
         self._start_us = start_utc_us
         self._stubborn = stubborn
         self._due_s: dict[int, float] = {}
@@ -75,6 +80,9 @@ class Autopilot(playback.Autopilot):
                 self.corrections.append(b"".join(self._fragments[n] for n in range(number + 1)))
             self._fragments.clear()
 
+    def _boot_ns(self, time_s: float) -> int:
+        return round(time_s * 1e9) + 1
+
     def _offered(self) -> Collection[int]:
         return () if self._stubborn else self._makers().keys()
 
@@ -96,11 +104,11 @@ class Autopilot(playback.Autopilot):
         }
 
 
-class Receiver(playback.SimulatedReceiver):
+class Receiver(playback.FlownReceiver):
     """A receiver of generation 7, 8 or 9 that measures, and may refuse or forget what it is told."""
 
     def __init__(self, generation: int, *, refuses: bool = False, forgets: bool = False) -> None:
-        super().__init__()
+        super().__init__("rover", NOTHING, NEVER)
         self.version = VERSIONS[generation]
         self._generation = generation
         self._refuses, self._forgets = refuses, forgets

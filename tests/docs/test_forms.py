@@ -75,7 +75,7 @@ def event_forms(folder: Path) -> Iterator[object]:
     yield marks
     with (folder / "flight.mcap").open("wb") as stream:
         writer = LogWriter(stream)
-        log = LinkLog(writer, "rover", [ReceiverDecoder("rover")])
+        log = LinkLog(writer.messages, "rover", [ReceiverDecoder("rover").feed])
         log.write(batch, np.full(len(batch), arrivals[0].time_ns))
         writer.close()
     chunks = LogReader(folder / "flight.mcap").chunks()

@@ -137,22 +137,24 @@ def test_reference_stations_are_those_of_pyrtcm_and_of_the_description(shared: P
 
 @pytest.mark.shared
 def test_positions_of_sentences_are_those_of_pynmeagps(rover: Batch) -> None:
-    ours = nmea.decode_gga(rover)
+    ours, (_, of_day_ns) = nmea.decode_gga(rover), nmea.decode_gga_times(rover)
+    # NMEA 0183, GGA, field 6.
+    fixes = {0: "none", 1: "3d", 2: "differential", 4: "rtk_fixed", 5: "rtk_float"}
     assert len(ours.index) > 50
     for row, index in enumerate(ours.index.tolist()):
         theirs = NMEAReader.parse(rover.frame(index).data)
         assert ours.latitude_deg[row] == pytest.approx(theirs.lat, abs=1e-9)
         assert ours.longitude_deg[row] == pytest.approx(theirs.lon, abs=1e-9)
         assert ours.height_m[row] == pytest.approx(theirs.alt + theirs.sep)
-        assert ours.quality[row] == theirs.quality
+        assert ours.fix[row] == fixes[theirs.quality]
         since = dt.datetime.combine(dt.date.min, theirs.time) - dt.datetime.min
-        assert ours.time_of_day_ns[row] == since / dt.timedelta(microseconds=1) * 1000
+        assert of_day_ns[row] == since / dt.timedelta(microseconds=1) * 1000
 
 
 def test_empty_sentences_have_no_position() -> None:
     batch = framed(nmea.encode("GNGGA,,,,,,0,00,99.99,,,,,,") + nmea.encode("GNRMC,,V,,,,,,,,,,N"))
     fixes = nmea.decode_gga(batch)
-    assert fixes.quality.tolist() == [0]
+    assert (fixes.fix.tolist(), fixes.valid.tolist()) == (["none"], [False])
     assert np.isnan([fixes.latitude_deg[0], fixes.height_m[0]]).all()
     assert len(nmea.decode_times(batch)[0]) == 0
 

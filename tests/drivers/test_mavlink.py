@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as peer
 
 from drivers.frames import Batch, StreamFramer, Wire
-from drivers.mavlink.decode import decode, encode, sequences
+from drivers.mavlink.decode import decode, encode, sequences, sources
 from drivers.mavlink.dialect import ardupilotmega
 
 DIALECT = ardupilotmega()
@@ -61,7 +61,8 @@ def test_every_message_decodes_as_by_pymavlink(message: int, noise: bytes, trunc
     assert batch.kind.tolist() == [message]
     assert batch.known.all()
     ours = decode(batch, message, DIALECT)
-    assert (ours.system[0], ours.component[0], sequences(batch, ours.index)[0]) == (7, 9, 200)
+    system, component = sources(batch, ours.index)
+    assert (system[0], component[0], sequences(batch, ours.index)[0]) == (7, 9, 200)
     assert len(values) > 0
     for name in known.fieldnames:
         assert same(ours.fields[name][0], getattr(parsed, name)), name

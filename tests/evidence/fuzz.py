@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoder
-from acquire.channels.log_decoder import BootTime, DataflashDecoder, EventListDecoder, UlogDecoder
+from acquire.channels.log_decoder import dataflash_decoder, event_list_decoder, ulog_decoder
 from acquire.channels.receiver import ReceiverDecoder
 from acquire.channels.vehicle import VehicleDecoder
 from drivers import nmea, rtcm3, ubx
@@ -46,7 +46,7 @@ MESSAGES = (
     "HEARTBEAT", "ATTITUDE", "GPS_RAW_INT", "SYSTEM_TIME", "CAMERA_FEEDBACK", "STATUSTEXT", "TIMESYNC",
     "GLOBAL_POSITION_INT", "CAMERA_TRIGGER", "SYS_STATUS",
 )  # fmt: skip
-BOOT = BootTime(1_700_000_000 * 10**9, 1)
+BOOT_NS = 1_700_000_000 * 10**9
 Chance = np.random.Generator
 
 
@@ -176,20 +176,22 @@ def _event(number: int) -> bytes:
 
 
 TARGETS = (
-    Target("GNSS stream (UBX, RTCM 3, NMEA)", lambda: StreamFramer(GNSS), lambda: [ReceiverDecoder("rover")],
+    Target("GNSS stream (UBX, RTCM 3, NMEA)", lambda: StreamFramer(GNSS),
+           lambda: [ReceiverDecoder("rover").feed],
            _gnss, lambda n: ubx.encode(0x0213, struct.pack("<Q", n))),
     Target("all four protocols on one stream", lambda: StreamFramer((Wire.MAVLINK, *GNSS)),
-           lambda: [ReceiverDecoder("x"), VehicleDecoder("x", DIALECT)],
+           lambda: [ReceiverDecoder("x").feed, VehicleDecoder("x", DIALECT).feed],
            lambda c: _gnss(c) if c.integers(0, 2) else _mavlink(c),
            lambda n: rtcm3.encode(b"\x43\x50" + struct.pack("<Q", n)) if n % 2 else _mavlink_numbered(n)),
-    Target("MAVLink stream", lambda: StreamFramer((Wire.MAVLINK,)), lambda: [VehicleDecoder("v", DIALECT)],
+    Target("MAVLink stream", lambda: StreamFramer((Wire.MAVLINK,)),
+           lambda: [VehicleDecoder("v", DIALECT).feed],
            _mavlink, _mavlink_numbered),
-    Target("telemetry log", TlogFramer, lambda: [VehicleDecoder("v", DIALECT)],
+    Target("telemetry log", TlogFramer, lambda: [VehicleDecoder("v", DIALECT).feed],
            lambda c: _stamped(_mavlink(c)), lambda n: _stamped(_mavlink_numbered(n))),
-    Target("DataFlash log", DataflashFramer, lambda: [DataflashDecoder("v", BOOT)], _dataflash,
+    Target("DataFlash log", DataflashFramer, lambda: [dataflash_decoder("v", BOOT_NS)], _dataflash,
            _dataflash_numbered, _dataflash_definitions()),
-    Target("PX4 log", UlogFramer, lambda: [UlogDecoder("v", BOOT)], _ulog, _ulog_numbered, _ULOG_HEAD),
-    Target("event list", MrkFramer, lambda: [EventListDecoder("c")],
+    Target("PX4 log", UlogFramer, lambda: [ulog_decoder("v", BOOT_NS)], _ulog, _ulog_numbered, _ULOG_HEAD),
+    Target("event list", MrkFramer, lambda: [event_list_decoder("c")],
            lambda c: _event(int(c.integers(0, 999))), lambda n: b"\n" + _event(n)),
 )  # fmt: skip
 
@@ -240,9 +242,9 @@ def run_one(target: Target, chance: Chance, first: int, tally: Tally) -> None:
         at += size
     found.append(framer.close())
     for batch in found:
-        log_ns = np.full(len(batch), BOOT.utc_ns, np.int64)
+        log_ns = np.full(len(batch), BOOT_NS, np.int64)
         for decoder in decoders:
-            decoder.feed(batch, log_ns)
+            decoder(batch, log_ns)
     tally.slowest_s = max(tally.slowest_s, time.perf_counter() - begun)
     tally.damaged += PER_STREAM
     tally.intact += len(intact)

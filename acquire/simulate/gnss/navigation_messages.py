@@ -6,7 +6,6 @@ Sources: IS-GPS-200N, figures 20-1 (subframes), 20-2 (TLM and HOW), sections 20.
 
 import struct
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -196,21 +195,11 @@ def _split(bits: str) -> list[str]:
     return [bits[at : at + 24] for at in range(0, 168, 24)] + [bits[168:]]
 
 
-@dataclass(frozen=True)
-class _Source:
-    """A signal with data: place among those tracked, `sigId`, length of its parts, their shift in time."""
-
-    band: str
-    number: int
-    ubx: int
-    length_s: int
-    shift_s: int
-
-
+# Signals with data: place among those tracked, `sigId`, length of their parts, and their shift in time, s.
 _SOURCES = {
-    GPS: (_Source("L1CA", 0, 0, SUBFRAME_S, 0),),
+    GPS: (("L1CA", 0, 0, SUBFRAME_S, 0),),
     # Pages of E1B begin a second after those of E5b.
-    GALILEO: (_Source("E1B", 0, 1, PAGE_S, 1), _Source("E5b", 1, 5, PAGE_S, 0)),
+    GALILEO: (("E1B", 0, 1, PAGE_S, 1), ("E5b", 1, 5, PAGE_S, 0)),
 }
 
 
@@ -225,20 +214,20 @@ def messages(
         system: tuple(s.truth for s in observations.satellites if s.system == system) for system in _SOURCES
     }
     for index, satellite in enumerate(observations.satellites):
-        for source in _SOURCES[satellite.system]:
-            count = _tracked(observations, index, source.number)
-            for gps_s in _beginnings(source, span_gps_ns):
-                if not _whole(count, seconds, gps_s - span_gps_ns[0] / SECOND_NS, source.length_s):
+        for band, signal, ubx, length_s, shift_s in _SOURCES[satellite.system]:
+            count = _tracked(observations, index, signal)
+            for gps_s in _beginnings(length_s, shift_s, span_gps_ns):
+                if not _whole(count, seconds, gps_s - span_gps_ns[0] / SECOND_NS, length_s):
                     continue
                 sent = satellite.transmitted(gps_s * SECOND_NS)
                 if sent.system == GPS:
                     words = subframe(sent, gps_s, sky, almanacs[GPS])
                 else:
-                    words = page(sent, gps_s, source.band, sky.leap_s, almanacs[GALILEO])
+                    words = page(sent, gps_s, band, sky.leap_s, almanacs[GALILEO])
                 head = struct.pack(
-                    "8B", UBX_SYSTEM[sent.system], sent.number, source.ubx, 0, len(words), index % 60, 2, 0
+                    "8B", UBX_SYSTEM[sent.system], sent.number, ubx, 0, len(words), index % 60, 2, 0
                 )
-                received = (gps_s + source.length_s) * SECOND_NS + latency_ns
+                received = (gps_s + length_s) * SECOND_NS + latency_ns
                 yield received, head + struct.pack(f"<{len(words)}I", *words)
 
 
@@ -250,11 +239,11 @@ def _tracked(observations: SatelliteObservations, satellite: int, signal: int) -
     return np.cumsum(there)
 
 
-def _beginnings(source: _Source, span_gps_ns: tuple[int, int]) -> range:
+def _beginnings(length_s: int, shift_s: int, span_gps_ns: tuple[int, int]) -> range:
     """Return when parts begin that lie within the session, GPS seconds."""
     start, stop = -(-span_gps_ns[0] // SECOND_NS), span_gps_ns[1] // SECOND_NS
-    first = start + (source.shift_s - start) % source.length_s
-    return range(first, stop - source.length_s + 1, source.length_s)
+    first = start + (shift_s - start) % length_s
+    return range(first, stop - length_s + 1, length_s)
 
 
 def _whole(count: Integers, seconds: Floats, begin: float, length: float) -> bool:

@@ -4,7 +4,7 @@ A session: rover and base under one sky, and the streams that they send.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ from acquire.simulate.gnss.settings import (
     LIGHT_M_S,
     ROVER,
     SIGNALS,
-    Faults,
     ReceiverModel,
     Signal,
     SkySettings,
@@ -57,12 +56,14 @@ ROW = np.dtype(
 class Clock:
     """Epochs of a receiver, whose clock is a crystal with bias, drift and noise, set by whole milliseconds.
 
+    start_gps_ns: GPS time of the start of the session.
     tag_gps_ns (n,): what the receiver's clock shows at its measurements.
     bias_s (n,): receiver time minus GPS time at the measurements.
     rate (n,): derivative of the bias.
     step: whether the clock was set since the last epoch.
     """
 
+    start_gps_ns: int
     tag_gps_ns: Integers
     bias_s: Floats
     rate: Floats
@@ -75,6 +76,11 @@ class Clock:
     def true_gps_ns(self) -> Integers:
         """GPS time of the measurements to the nanosecond."""
         return np.asarray(self.tag_gps_ns - np.rint(self.bias_s * SECOND_NS).astype(np.int64))
+
+    @property
+    def seconds(self) -> Floats:
+        """GPS time of the measurements since the start: small numbers, to the fraction of a nanosecond."""
+        return np.asarray((self.tag_gps_ns - self.start_gps_ns) / SECOND_NS - self.bias_s)
 
 
 def run_clock(model: ReceiverModel, start_gps_ns: int, stop_gps_ns: int, rng: np.random.Generator) -> Clock:
@@ -89,7 +95,7 @@ def run_clock(model: ReceiverModel, start_gps_ns: int, stop_gps_ns: int, rng: np
     # The epoch after a step comes a millisecond later: the clock has gone on meanwhile.
     total[1:] += np.cumsum(rate[:-1] * np.diff(steps)) * 1e-3
     moved = np.concatenate([[False], np.diff(steps) != 0])
-    return Clock(tag, total - steps * 1e-3, rate, moved)
+    return Clock(start_gps_ns, tag, total - steps * 1e-3, rate, moved)
 
 
 @dataclass(frozen=True)
@@ -222,40 +228,20 @@ def observe(
     model: ReceiverModel,
     span_gps_ns: tuple[int, int],
     rng: np.random.Generator,
-    *,
-    gaps_s: tuple[tuple[float, float], ...] = (),
 ) -> SatelliteObservations:
     """Measure through a session."""
     # Two signals of each system.
     signal_order = 2
-    start = span_gps_ns[0]
     clock = run_clock(model, *span_gps_ns, rng)
-    true_ns = clock.true_gps_ns
-    here = place(antenna.position(true_ns), antenna.velocity(true_ns))
-    # To the fraction of a nanosecond, with small numbers.
-    seconds = (clock.tag_gps_ns - start) / SECOND_NS - clock.bias_s
-    off = np.zeros(len(seconds), bool)
-    for begin, end in gaps_s:
-        off |= (seconds >= begin) & (seconds < end)
-    epochs = _Epochs(seconds, start, true_ns, clock, here, off)
+    here = place(antenna.position(clock.true_gps_ns), antenna.velocity(clock.true_gps_ns))
     biases = rng.normal(0, model.code_bias_m, (len(SIGNALS), signal_order))
     parts = []
     for index, (satellite, chance) in enumerate(zip(satellites, rng.spawn(len(satellites)), strict=True)):
         bias = biases[list(SIGNALS).index(satellite.system)]
-        parts += _satellite(index, satellite, atmosphere, model, epochs, bias, chance)
+        parts += _satellite(index, satellite, atmosphere, model, (clock, here), bias, chance)
     rows = np.concatenate([np.empty(0, ROW), *parts])
     order = np.lexsort((rows["signal"], rows["satellite"], rows["epoch"]))
     return SatelliteObservations(clock, here, satellites, rows[order])
-
-
-@dataclass(frozen=True)
-class _Epochs:
-    seconds: Floats
-    origin_ns: int
-    true_ns: Integers
-    clock: Clock
-    place: AntennaTrack
-    blocked: Flags
 
 
 def _satellite(
@@ -263,44 +249,50 @@ def _satellite(
     satellite: Satellite,
     atmosphere: Atmosphere,
     model: ReceiverModel,
-    epochs: _Epochs,
+    receiver: tuple[Clock, AntennaTrack],
     biases: Floats,
     rng: np.random.Generator,
 ) -> list[NDArray[np.void]]:
     # Below this a receiver of this kind holds nothing.
     weakest_dbhz = 22.0
     mask = np.radians(model.mask_deg)
-    if not _ever_up(satellite, epochs, mask):
+    clock, here = receiver
+    seconds = clock.seconds
+    if not _ever_up(satellite, clock, here, mask):
         return []
-    way = link(satellite, epochs.seconds, epochs.origin_ns, epochs.place)
+    way = link(satellite, seconds, clock.start_gps_ns, here)
     above = way.elevation >= mask
     seen = np.maximum(way.elevation, mask)
-    layer = atmosphere.ionosphere_m(epochs.place, way.azimuth, seen, epochs.true_ns)
-    air = atmosphere.troposphere_m(epochs.place, seen)
-    slow = way.range_m + air + LIGHT_M_S * (epochs.clock.bias_s - way.clock_s)
+    layer = atmosphere.ionosphere_m(here, way.azimuth, seen, clock.true_gps_ns)
+    air = atmosphere.troposphere_m(here, seen)
+    slow = way.range_m + air + LIGHT_M_S * (clock.bias_s - way.clock_s)
     # From the zenith to the mask multipath grows threefold.
     strength = (1 + 2 * np.cos(way.elevation) ** 2) / 3
+    blocked = np.zeros(len(clock), bool)
+    for begin, end in model.gaps_s:
+        blocked |= (seconds >= begin) & (seconds < end)
     parts = []
     for number, (signal, chance) in enumerate(zip(SIGNALS[satellite.system], rng.spawn(2), strict=True)):
         noise = thermal(signal, way.elevation, model, chance)
-        arrives = above & ~epochs.blocked & (noise.cn0_dbhz > weakest_dbhz)
-        held = track(epochs.seconds, arrives, model.slips_per_hour, signal.data, chance)
+        arrives = above & ~blocked & (noise.cn0_dbhz > weakest_dbhz)
+        held = track(seconds, arrives, model.slips_per_hour, signal.data, chance)
         delay = layer * on(signal.frequency_hz)
         code = slow + delay + LIGHT_M_S * group_delay_s(satellite, number) + biases[number]
         multipath = correlated(len(code), model.interval_s / model.multipath_time_s, 2, chance)
         multipath[0] *= model.code_multipath_m * min(signal.chip_m / 293.0, 1.0) ** 0.5 * strength
         multipath[1] *= model.phase_multipath_m * strength * signal.wavelength_m / 0.1903
         measured = slow - delay, code, multipath
-        parts.append(_rows((index, number), signal, epochs.clock, way, held, noise, measured, chance))
+        parts.append(_rows((index, number), signal, clock, way, held, noise, measured, chance))
     return parts
 
 
-def _ever_up(satellite: Satellite, epochs: _Epochs, mask: float) -> bool:
+def _ever_up(satellite: Satellite, clock: Clock, here: AntennaTrack, mask: float) -> bool:
     """Look once a minute, with a margin for what rises in between (half a degree a minute)."""
     coarse_s = 60
-    step = max(round(coarse_s / max(float(np.median(np.diff(epochs.seconds))), 1e-3)), 1)
-    chosen = np.unique(np.append(np.arange(0, len(epochs.seconds), step), len(epochs.seconds) - 1))
-    coarse = link(satellite, epochs.seconds[chosen], epochs.origin_ns, epochs.place.rows(chosen))
+    seconds = clock.seconds
+    step = max(round(coarse_s / max(float(np.median(np.diff(seconds))), 1e-3)), 1)
+    chosen = np.unique(np.append(np.arange(0, len(seconds), step), len(seconds) - 1))
+    coarse = link(satellite, seconds[chosen], clock.start_gps_ns, here.rows(chosen))
     return bool((coarse.elevation > mask - np.radians(1.0)).any())
 
 
@@ -377,14 +369,15 @@ def simulate(
     sky: SkySettings | None = None,
     rover_model: ReceiverModel = ROVER,
     base_model: ReceiverModel = BASE,
-    faults: Faults | None = None,
+    base_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Session:
     """Let a rover and a base measure.
 
     span_gps_ns: start and stop of the session, GPS nanoseconds since 1980-01-06.
+    base_shift_m: east, north, up: what is announced as the base's position less where it is.
     raises ConfigurationError: when no receiver has an epoch between start and stop.
     """
-    sky, faults = sky or SkySettings(), faults or Faults()
+    sky = sky or SkySettings()
     longest, seconds = (
         max(rover_model.interval_s, base_model.interval_s),
         (span_gps_ns[1] - span_gps_ns[0]) / 1e9,
@@ -401,20 +394,9 @@ def simulate(
     x, y, _ = base.position(np.array(span_gps_ns[:1]))[0].tolist()
     atmosphere = Atmosphere.by_chance(sky, for_air, math.atan2(y, x))
     moving, still = (
-        observe(
-            antenna,
-            satellites,
-            atmosphere,
-            model if slips is None else replace(model, slips_per_hour=slips),
-            span_gps_ns,
-            chance,
-            gaps_s=gaps_s,
-        )
-        for antenna, model, slips, chance, gaps_s in (
-            (rover, rover_model, faults.rover_slips_per_hour, for_rover, faults.rover_gaps_s),
-            (base, base_model, faults.base_slips_per_hour, for_base, faults.base_gaps_s),
-        )
+        observe(antenna, satellites, atmosphere, model, span_gps_ns, chance)
+        for antenna, model, chance in ((rover, rover_model, for_rover), (base, base_model, for_base))
     )
     at = still.place
-    shift = np.array(faults.base_shift_m) @ at.axes[0]
+    shift = np.array(base_shift_m) @ at.axes[0]
     return Session(span_gps_ns, sky, satellites, moving, still, at.position_m[0] + shift)

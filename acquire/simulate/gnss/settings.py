@@ -1,4 +1,4 @@
-"""What can be set: the sky, the receivers and what goes wrong."""
+"""What can be set: the sky and the receivers."""
 
 from dataclasses import dataclass
 
@@ -92,6 +92,7 @@ class ReceiverModel:
         RXM-RAWX).
     slips_per_hour: rate of cycle slips of each signal.
     code_bias_m: standard deviation of the receiver's own delays, constant for each signal.
+    gaps_s: times without any measurement, seconds from the start.
     """
 
     interval_s: float = 0.2
@@ -106,23 +107,8 @@ class ReceiverModel:
     clock_steps: bool = True
     slips_per_hour: float = 0.2
     code_bias_m: float = 0.5
+    gaps_s: tuple[tuple[float, float], ...] = ()
 
 
 ROVER = ReceiverModel()
 BASE = ReceiverModel(interval_s=1.0, code_multipath_m=0.5, multipath_time_s=60.0, slips_per_hour=0.05)
-
-
-@dataclass(frozen=True)
-class Faults:
-    """What goes wrong, each alone or together.
-
-    base_shift_m: east, north, up: what is announced as the base's position less where it is.
-    rover_slips_per_hour, base_slips_per_hour: cycle slips of each signal instead of the receiver's own rate.
-    rover_gaps_s, base_gaps_s: times without any measurement, seconds from the start.
-    """
-
-    base_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    rover_slips_per_hour: float | None = None
-    base_slips_per_hour: float | None = None
-    rover_gaps_s: tuple[tuple[float, float], ...] = ()
-    base_gaps_s: tuple[tuple[float, float], ...] = ()

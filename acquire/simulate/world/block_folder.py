@@ -5,15 +5,15 @@ Every observation of the folder carries just the noise that it states.
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from acquire.simulate.world.configuration import LEAP_S, FlightConfiguration, SimulatedFault
+from acquire.simulate.world.configuration import FlightConfiguration, SimulatedFault
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.observations import MeasuredPoints, kept_images
+from acquire.simulate.world.place import LEAP_S
 from acquire.simulate.world.world import World
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError
@@ -49,9 +49,8 @@ def write_block(world: World, observed: MeasuredPoints, folder: Path) -> None:
             **dict.fromkeys(("X", "Y", "Z", "omega", "phi", "kappa"), ("", blank)),
         },
     )
-    notes = take_notes(world, world.targets.surveyed_m)
     seen = tuple(observed.names[k] for k in np.unique(observed.point).tolist())
-    write_targets(world, notes, folder / "points.csv", seen)
+    write_targets(world, world.targets.surveyed_m, folder / "points.csv", seen)
     write_observations(world, observed, folder / "observations.csv")
     (folder / "block.toml").write_text(_setup(world), encoding="utf-8")
 
@@ -110,10 +109,12 @@ def telemetry_gap(world: World) -> tuple[float, float]:
     return middle - half, middle + half
 
 
-def write_targets(world: World, notes: "FieldBook", path: Path, names: Sequence[str]) -> None:
-    """Write a table of points: targets as they were surveyed, all others as tie points."""
+def write_targets(world: World, coordinates: Floats, path: Path, names: Sequence[str]) -> None:
+    """Write a table of points: targets as they were surveyed (n, 3), all others as tie points."""
     sigma = ",".join(f"{s:g}" for s in world.configuration.targets.sigma_m)
-    surveyed = zip(world.targets.names, notes.control, world.targets.roles, strict=True)
+    surveyed = zip(
+        world.targets.names, noted_control(world, coordinates)[0], world.targets.roles, strict=True
+    )
     cells = {name: f"{','.join(texts)},{sigma},{role}" for name, texts, role in surveyed}
     lines = [f"{name},{cells.get(name, ',,,,,,tie')}" for name in names]
     path.write_text("\n".join(["point,X,Y,Z,sX,sY,sZ,role", *lines]) + "\n", encoding="utf-8")
@@ -136,7 +137,6 @@ def camera_keys(configuration: FlightConfiguration) -> dict[str, Any]:
 
 def _setup(world: World) -> str:
     given = world.configuration
-    notes = take_notes(world, world.targets.surveyed_m)
     return toml_text(
         [
             ("[block]", {"name": given.name, "frame": "local", "height": "local", "datum": "control"}),
@@ -145,7 +145,7 @@ def _setup(world: World) -> str:
             (
                 "[mounting]",
                 {
-                    "lever_arm_m": notes.camera_to_antenna_m,
+                    "lever_arm_m": world.noted_arm_m,
                     "lever_arm_sigma_m": given.rig.camera_to_antenna_sigma_m,
                     "boresight_deg": given.rig.boresight_deg,
                     "boresight_sigma_deg": given.rig.boresight_sigma_deg,
@@ -193,42 +193,22 @@ def _value(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-@dataclass(frozen=True)
-class FieldBook:
-    """What is written into the files of the site.
+def noted_control(world: World, coordinates: Floats) -> tuple[list[tuple[str, ...]], str]:
+    """Write down the surveyed coordinates of the targets (n, 3), in the system of the site.
 
-    control: coordinates of each target as texts, in the system of the site.
-    base_m (3,): announced place of the base's mark in the local frame.
-    camera_to_antenna_m (3,).
-    mistyped: name of the target with swapped digits, empty for none.
+    returns: three texts for each target, and the name of the one with swapped digits, empty for none.
     """
-
-    control: tuple[tuple[str, str, str], ...]
-    base_m: Floats
-    base_antenna_height_m: float
-    camera_to_antenna_m: Floats
-    mistyped: str
-
-
-def take_notes(world: World, coordinates: Floats) -> FieldBook:
-    """Write down the site."""
     given = world.configuration
     texts = [tuple(f"{value:.4f}" for value in row) for row in coordinates.tolist()]
-    mistyped = ""
-    if world.has(SimulatedFault.CONTROL_DIGITS):
-        control = [k for k, role in enumerate(world.targets.roles) if role == "control"]
-        row = control[int(world.random("faults").integers(len(control)))]
-        added, wrong = given.fault_sizes.control_m, _swapped(texts[row])
-        if any(added):
-            wrong = tuple(f"{float(text) + more:.4f}" for text, more in zip(texts[row], added, strict=True))
-        texts[row] = wrong
-        mistyped = world.targets.names[row]
-    base = world.base_m + world.base_error_m
-    arm = np.array(given.rig.camera_to_antenna_m)
-    if world.has(SimulatedFault.LEVER_ARM_AXIS):
-        arm = arm[[2, 1, 0]]
-    antenna_height_m = given.gnss.base_antenna_height_m - world.antenna_height_error_m
-    return FieldBook(tuple((x, y, z) for x, y, z in texts), base, antenna_height_m, arm, mistyped)
+    if not world.has(SimulatedFault.CONTROL_DIGITS):
+        return texts, ""
+    control = [k for k, role in enumerate(world.targets.roles) if role == "control"]
+    row = control[int(world.random("faults").integers(len(control)))]
+    added, wrong = given.fault_sizes.control_m, _swapped(texts[row])
+    if any(added):
+        wrong = tuple(f"{float(text) + more:.4f}" for text, more in zip(texts[row], added, strict=True))
+    texts[row] = wrong
+    return texts, world.targets.names[row]
 
 
 def _swapped(texts: tuple[str, ...]) -> tuple[str, ...]:

@@ -1,6 +1,5 @@
 """The configuration of a simulated flight (TOML)."""
 
-import datetime as dt
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -9,6 +8,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, PositiveFloat, model_validator
 
 from acquire.simulate.world.camera import TrueCamera
+from acquire.simulate.world.place import Place
 from photocal.base.checked_toml import Table, checked_tables, read_tables
 
 Pair = tuple[FiniteFloat, FiniteFloat]
@@ -19,9 +19,6 @@ PositiveSigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
 Share = Annotated[float, Field(ge=0, lt=1)]
 # Flights that are known by name.
 FLIGHTS = Path(__file__).parents[1] / "flights"
-# GPS time less UTC, and how long that is known to hold (IERS Bulletin C).
-LEAP_S = 18
-LEAP_SECONDS_SINCE, LEAP_SECONDS_KNOWN_TO = dt.date(2017, 1, 1), dt.date(2027, 6, 28)
 
 
 class SimulatedFault(StrEnum):
@@ -74,28 +71,6 @@ class Level(StrEnum):
     OBSERVATIONS = "observations"
     BLOCK = "block"
     CARD = "card"
-
-
-class PlaceKeys(Table):
-    """Where and when: the origin of the local frame on the ellipsoid, the system of control and results."""
-
-    latitude_deg: Annotated[float, Field(gt=-85, lt=85)]
-    longitude_deg: Annotated[float, Field(ge=-180, le=180)]
-    height_m: FiniteFloat
-    crs: Annotated[str, Field(pattern=r"^EPSG:\d+$")]
-    start_utc: dt.datetime
-    geoid_m: FiniteFloat = 0.0
-
-    @model_validator(mode="after")
-    def _has_zone(self) -> Self:
-        if self.start_utc.utcoffset() is None:
-            raise ValueError("start_utc needs its zone, such as 2025-06-15T14:00:00Z")
-        if not LEAP_SECONDS_SINCE <= self.start_utc.date() < LEAP_SECONDS_KNOWN_TO:
-            raise ValueError(
-                f"start_utc must lie between {LEAP_SECONDS_SINCE} and {LEAP_SECONDS_KNOWN_TO}, "
-                f"when GPS time was {LEAP_S} s ahead of UTC"
-            )
-        return self
 
 
 class TerrainKeys(Table):
@@ -244,7 +219,7 @@ class FlightConfiguration(Table):
     seed: Annotated[int, Field(ge=0)] = 1
     field_seed: Annotated[int, Field(ge=0)] | None = None
     level: Level = Level.PICTURES
-    place: PlaceKeys
+    place: Place
     terrain: TerrainKeys = TerrainKeys()
     plan: PlanKeys
     vehicle: VehicleKeys = VehicleKeys()

@@ -15,15 +15,15 @@ from typing import Any
 import numpy as np
 
 from acquire.simulate.world import block_folder
-from acquire.simulate.world.block_folder import Columns, take_notes, toml_text, write_table
+from acquire.simulate.world.block_folder import Columns, noted_control, toml_text, write_table
 from acquire.simulate.world.camera import OPENCV, TrueCamera
 from acquire.simulate.world.configuration import FlightConfiguration, Level
 from acquire.simulate.world.exposures import antenna_at, omega_phi_kappa
 from acquire.simulate.world.observations import MeasuredPoints, kept_images, observe
+from acquire.simulate.world.place import Place
 from acquire.simulate.world.render import make_scene, render
 from acquire.simulate.world.streams import RecordedWire, make_streams, telemetry_log
 from acquire.simulate.world.telemetry import LABEL, make_filter
-from acquire.simulate.world.terrain import Place
 from acquire.simulate.world.world import World, make_world, picture_stamps
 from photocal.base.arrays import Floats
 from photocal.base.files import write_json
@@ -49,7 +49,7 @@ def _figures(world: World) -> dict[str, object]:
     return {
         "schema": "acquire.simulate.truth/1",
         **conditions(world.configuration),
-        "mistyped_control": take_notes(world, world.targets.surveyed_m).mistyped,
+        "mistyped_control": noted_control(world, world.targets.surveyed_m)[1],
         "missing_images": np.array(world.exposures.names)[~kept_images(world)].tolist(),
         "camera": {
             "id": world.configuration.camera.id,
@@ -76,8 +76,8 @@ def _figures(world: World) -> dict[str, object]:
         },
         "local_frame": {
             "axes": "east, north, up, topocentric at the origin on GRS 80",
-            "latitude_deg": float(np.degrees(place.latitude)),
-            "longitude_deg": float(np.degrees(place.longitude)),
+            "latitude_deg": place.latitude_deg,
+            "longitude_deg": place.longitude_deg,
             "height_m": place.height_m,
         },
         "crs": place.crs,
@@ -200,18 +200,23 @@ def write_project(world: World, site: Path) -> None:
     if block:
         sections.append(("[measurements]", {"block": "block"}))
     else:
-        notes = block_folder.take_notes(world, world.place.to_projected(world.targets.surveyed_m))
-        block_folder.write_targets(world, notes, site / "control.csv", world.targets.names)
-        sections += _flight(world, notes)
+        write_control(world, site)
+        sections += _flight(world)
     judgement = given.judgement.model_dump(exclude_defaults=True)
     sections += [("[judgement]", judgement)] if judgement else []
     sections.append(("[certificate]", {"particulars": "particulars.toml"}))
     (site / "project.toml").write_text(block_folder.toml_text(sections), encoding="utf-8")
 
 
-def _flight(world: World, notes: block_folder.FieldBook) -> list[tuple[str, dict[str, Any]]]:
+def write_control(world: World, site: Path) -> None:
+    """Write `control.csv`: the targets in the projected system, as they were surveyed."""
+    surveyed = world.place.to_projected(world.targets.surveyed_m)
+    block_folder.write_targets(world, surveyed, site / "control.csv", world.targets.names)
+
+
+def _flight(world: World) -> list[tuple[str, dict[str, Any]]]:
     given = world.configuration
-    base = world.place.to_geodetic(notes.base_m[None])[0]
+    base = world.place.to_geodetic(world.noted_base_m[None])[0]
     place = [*(round(angle, 10) for angle in np.degrees(base[:2]).tolist()), round(float(base[2]), 4)]
     # What thermometer and hygrometer show at the base.
     weather = {
@@ -236,7 +241,7 @@ def _flight(world: World, notes: block_folder.FieldBook) -> list[tuple[str, dict
                 "rover": "rover",
                 "base": "base",
                 "base_position": place,
-                "base_antenna_height_m": round(notes.base_antenna_height_m, 4),
+                "base_antenna_height_m": round(world.noted_antenna_height_m, 4),
                 "rover_antenna_height_m": 0.0,
                 "weather": weather,
                 "edge": "rising",
@@ -248,7 +253,7 @@ def _flight(world: World, notes: block_folder.FieldBook) -> list[tuple[str, dict
             "[rig]",
             {
                 **given.rig.model_dump(exclude={"position_sigma_m"}),
-                "camera_to_antenna_m": notes.camera_to_antenna_m,
+                "camera_to_antenna_m": world.noted_arm_m,
                 "camera_axes": ["right", "forward", "up"],
             },
         ),
@@ -321,8 +326,6 @@ def simulate_flight(configuration: FlightConfiguration, folder: Path, advance: A
         block_folder.write_observations(world, observed, site / "observations.csv")
         write_times(world, site / "times.csv")
     if configuration.level is Level.PICTURES:
-        from acquire.simulate.world.site import write_pictures
-
         write_pictures(world, site / "images", advance)
     if configuration.level is not Level.BLOCK:
         write_streams(world, make_streams(world), folder)
@@ -334,11 +337,8 @@ def simulate_flight(configuration: FlightConfiguration, folder: Path, advance: A
 
 def write_card(world: World, site: Path, advance: Advance) -> None:
     """Write pictures, surveyed points and the marks that a person made of them."""
-    from acquire.simulate.world.site import write_pictures
-
     write_pictures(world, site / "images", advance)
-    notes = block_folder.take_notes(world, world.place.to_projected(world.targets.surveyed_m))
-    block_folder.write_targets(world, notes, site / "control.csv", world.targets.names)
+    write_control(world, site)
     observed = observe(world)
     marked = observed.point < len(world.targets.names)
     rows = {name: getattr(observed, name)[marked] for name in ("image", "point", "pixels", "sigma_px")}

@@ -6,7 +6,7 @@ import numpy as np
 
 from acquire.simulate.gnss.constellation import Antenna
 from acquire.simulate.gnss.observations import Session, simulate
-from acquire.simulate.gnss.settings import BASE, ROVER, Faults, SkySettings
+from acquire.simulate.gnss.settings import BASE, ROVER, SkySettings
 from acquire.simulate.gnss.streams import Pulses, Stream, base_rtcm, base_ubx, rover_ubx
 from acquire.simulate.world import telemetry
 from acquire.simulate.world.block_folder import telemetry_gap
@@ -113,7 +113,11 @@ def _carried(
 
 def _session(world: World) -> tuple[Session, np.random.Generator]:
     given, chance = world.configuration.gnss, world.random("sky")
-    slips = world.configuration.fault_sizes.slips_per_hour if world.has(SimulatedFault.CYCLE_SLIPS) else None
+    rover_model = replace(ROVER, interval_s=given.rover_interval_s)
+    base_model = replace(BASE, interval_s=given.base_interval_s)
+    if world.has(SimulatedFault.CYCLE_SLIPS):
+        slips = world.configuration.fault_sizes.slips_per_hour
+        rover_model, base_model = (replace(m, slips_per_hour=slips) for m in (rover_model, base_model))
     east, north, up = world.base_error_m.tolist()
     session = simulate(
         _rover(world),
@@ -121,9 +125,9 @@ def _session(world: World) -> tuple[Session, np.random.Generator]:
         (world.start_gps_ns, int(world.gps_ns(np.array(world.motion.duration_s)))),
         rng=chance,
         sky=SkySettings(**world.configuration.air.model_dump()),
-        rover_model=replace(ROVER, interval_s=given.rover_interval_s),
-        base_model=replace(BASE, interval_s=given.base_interval_s),
-        faults=Faults(base_shift_m=(east, north, up), rover_slips_per_hour=slips, base_slips_per_hour=slips),
+        rover_model=rover_model,
+        base_model=base_model,
+        base_shift_m=(east, north, up),
     )
     return session, chance
 

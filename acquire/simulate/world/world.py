@@ -7,10 +7,11 @@ import numpy as np
 
 from acquire.simulate.world import configuration
 from acquire.simulate.world.camera import TrueCamera
-from acquire.simulate.world.configuration import LEAP_S, FlightConfiguration, SimulatedFault
+from acquire.simulate.world.configuration import FlightConfiguration, SimulatedFault
 from acquire.simulate.world.exposures import TrueExposures, TrueRig, make_exposures, make_rig
 from acquire.simulate.world.motion import Motion, legs, make_motion, strips
-from acquire.simulate.world.terrain import HeightField, Place, make_terrain
+from acquire.simulate.world.place import LEAP_S, Place
+from acquire.simulate.world.terrain import HeightField, make_terrain
 from photocal.base.arrays import Floats, Integers, spread
 from photocal.base.errors import ConfigurationError
 from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS
@@ -136,6 +137,22 @@ class World:
             else 0.0
         )
 
+    @property
+    def noted_base_m(self) -> Floats:
+        """Announced place of the base's mark, shape (3,)."""
+        return np.asarray(self.base_m + self.base_error_m)
+
+    @property
+    def noted_antenna_height_m(self) -> float:
+        """Height of the base's antenna above its mark as it is noted."""
+        return self.configuration.gnss.base_antenna_height_m - self.antenna_height_error_m
+
+    @property
+    def noted_arm_m(self) -> Floats:
+        """Lever arm from camera to antenna as the surveyor writes it down, shape (3,)."""
+        arm = np.array(self.configuration.rig.camera_to_antenna_m)
+        return arm[[2, 1, 0]] if self.has(SimulatedFault.LEVER_ARM_AXIS) else arm
+
     def gps_ns(self, time_s: Floats) -> Integers:
         """Give GPS nanoseconds of seconds since the start."""
         return np.asarray(self.start_gps_ns + np.rint(np.asarray(time_s) * 1e9).astype(np.int64))
@@ -188,7 +205,7 @@ def make_world(configuration: FlightConfiguration) -> World:
     start_gps = (start_utc_s + LEAP_S) * SECOND_NS - GPS_EPOCH_NS
     return World(
         configuration,
-        Place.of(configuration.place),
+        configuration.place,
         terrain,
         targets,
         camera,

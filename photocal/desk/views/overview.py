@@ -25,7 +25,7 @@ from photocal.findings.texts import Catalogue, plain, remedy_text, sentence
 from photocal.findings.verdict import VerdictLine, every_line, headline, line_text
 from photocal.geometry.camera import PARAMETERS
 from photocal.navigation.exposures import Exposures
-from photocal.planning.flown import BORDER, GroundCells, cells_seen, directions, level_ground
+from photocal.planning.flown import BORDER, GroundCells, cells_seen, level_ground
 from photocal.run.exposures import EXPOSURES
 from photocal.run.summary import project_findings, project_verdict
 
@@ -93,7 +93,7 @@ def footprints(shown: Shown) -> Floats:
     """Corners and side middles of each image on the middle height of the points, (n, 8, 2); NaN beyond."""
     local = shown.images
     level = _level(shown)
-    rays = directions(local, BORDER)
+    rays = local.directions(BORDER)
     drop = (local.station[:, 2] - level)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         ground = local.station[:, None, :2] + rays[..., :2] / -rays[..., 2:] * drop[..., None]

@@ -36,7 +36,7 @@ def decode(framer: Framer, decoder: Decoder, data: bytes, cuts: list[int]) -> tu
 
     def take(batch: Batch) -> None:
         log_ns = batch.host_ns if batch.host_ns is not None else np.full(len(batch), 5 * 10**17)
-        publish, made = decoder.feed(batch, log_ns)
+        publish, made = decoder(batch, log_ns)
         published.extend(publish.tolist())
         for part in made:
             content[part.channel] += zip(part.payloads, part.publish_ns.tolist(), strict=True)
@@ -50,8 +50,8 @@ def decode(framer: Framer, decoder: Decoder, data: bytes, cuts: list[int]) -> tu
 @settings(max_examples=40)
 @given(st.lists(st.integers(0, len(DEMO)), max_size=10))
 def test_vehicle_channels_do_not_depend_on_the_batches(cuts: list[int]) -> None:
-    whole = decode(TlogFramer(), VehicleDecoder("vehicle", DIALECT), DEMO, [])
-    assert decode(TlogFramer(), VehicleDecoder("vehicle", DIALECT), DEMO, cuts) == whole
+    whole = decode(TlogFramer(), VehicleDecoder("vehicle", DIALECT).feed, DEMO, [])
+    assert decode(TlogFramer(), VehicleDecoder("vehicle", DIALECT).feed, DEMO, cuts) == whole
 
 
 @pytest.mark.shared
@@ -65,10 +65,10 @@ def test_vehicle_channels_do_not_depend_on_the_batches(cuts: list[int]) -> None:
 def test_receiver_channels_do_not_depend_on_the_batches(shared: Path, name: str) -> None:
     raw = (shared / "data" / name).read_bytes()
     data = (gzip.decompress(raw) if name.endswith(".gz") else raw)[:120_000]
-    whole = decode(StreamFramer(GNSS), ReceiverDecoder("rover"), data, [])
+    whole = decode(StreamFramer(GNSS), ReceiverDecoder("rover").feed, data, [])
     for step in (997, 20_011):
         cuts = list(range(0, len(data), step))
-        assert decode(StreamFramer(GNSS), ReceiverDecoder("rover"), data, cuts) == whole
+        assert decode(StreamFramer(GNSS), ReceiverDecoder("rover").feed, data, cuts) == whole
 
 
 def record(time_us: int, name: str, values: dict[str, float], system: int) -> bytes:
@@ -81,7 +81,7 @@ def test_a_second_vehicle_does_not_get_into_the_channel_of_the_first() -> None:
     data = b"".join(
         record(start + n, "ATTITUDE", {"roll": 0.1 * system}, system) for n in range(4) for system in (1, 2)
     )
-    content, _ = decode(TlogFramer(), VehicleDecoder("vehicle", DIALECT), data, [])
+    content, _ = decode(TlogFramer(), VehicleDecoder("vehicle", DIALECT).feed, data, [])
     topics = {channel.topic: len(rows) for channel, rows in content.items()}
     assert topics == {"/vehicle/attitude": 4, "/vehicle/attitude/system-2-1": 4}
 
@@ -92,14 +92,14 @@ def test_times_since_boot_become_utc_by_the_system_time_before_them() -> None:
     data += record(start, "SYSTEM_TIME", {"time_boot_ms": 1000, "time_unix_usec": start - 250_000}, 1)
     data += record(start, "ATTITUDE", {"time_boot_ms": 1500}, 1)
     data += record(start, "ATTITUDE", {"time_boot_ms": 1500}, 9)
-    _, published = decode(TlogFramer(), VehicleDecoder("vehicle", DIALECT), data, [])
+    _, published = decode(TlogFramer(), VehicleDecoder("vehicle", DIALECT).feed, data, [])
     host = start * 1000
     assert published == [host, host - 250_000_000, host + 250_000_000, host]
     assert SYSTEM == 1
 
 
 def test_exposures_tell_time_and_place() -> None:
-    content, _ = decode(TlogFramer(), VehicleDecoder("vehicle", DIALECT), DEMO, [])
+    content, _ = decode(TlogFramer(), VehicleDecoder("vehicle", DIALECT).feed, DEMO, [])
     rows = next(rows for channel, rows in content.items() if channel.topic == "/camera/exposure")
     events = [json.loads(payload) for payload, _ in rows]
     assert [event["sequence"] for event in events] == list(range(1, 30))

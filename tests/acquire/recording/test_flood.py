@@ -126,7 +126,7 @@ def test_what_was_written_before_it_was_framed_is_framed_by_recover(tmp_path: Pa
     )
     files = LogFiles([tmp_path], lambda _: None, time.time_ns)
     dialect = ardupilotmega()
-    session = link_sessions(chosen, files, {"rover": Script([])}, {}, dialect)["rover"]
+    session = link_sessions(chosen, files.messages, {"rover": Script([])}, {}, dialect)["rover"]
     session.take(pieces[:2])
     files.end_chunk()
     session.keep(pieces[2:4])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from acquire.recording.alarms import ClockWatch, SilenceWatch
+from acquire.recording.alarms import RecordingWatch
 from acquire.recording.recorder import Host
 from drivers import rtcm3, ubx
 from tests.acquire.live import frames_in
@@ -55,18 +55,18 @@ def test_a_silent_base_a_low_disk_and_a_clock_jump_raise_alarms(tmp_path: Path) 
 
 
 def test_silence_is_told_once_and_its_end_too() -> None:
-    watch = SilenceWatch({"base": 5.0}, start_s=100.0)
-    assert not watch.look(104.0, 1)
-    assert [a.kind for a in watch.look(106.0, 2)] == ["silent"]
-    assert not watch.look(200.0, 3)
+    watch = RecordingWatch({"base": 5.0}, start_s=100.0)
+    assert not watch.silences(104.0, 1)
+    assert [a.kind for a in watch.silences(106.0, 2)] == ["silent"]
+    assert not watch.silences(200.0, 3)
     assert [a.kind for a in watch.hear("base", 201.0, 4)] == ["heard_again"]
-    assert not watch.look(205.0, 5)
+    assert not watch.silences(205.0, 5)
 
 
 def test_a_clock_that_drifts_is_no_jump() -> None:
-    watch = ClockWatch()
-    assert not any(watch.look(round(s * 1.001e9), float(s)) for s in range(1000))
-    assert watch.look(round(2000e9), 1000.0)
+    watch = RecordingWatch({}, start_s=0.0)
+    assert not any(watch.jump(round(s * 1.001e9), float(s)) for s in range(1000))
+    assert watch.jump(round(2000e9), 1000.0)
 
 
 def test_a_computer_that_stands_still_for_a_while_has_no_jumping_clock(tmp_path: Path) -> None:

@@ -121,9 +121,10 @@ class Comparison:
 def against_receiver(run: Run, stream: Path, day_of_week: int) -> Comparison:
     """Compare with the GGA sentences of quality 4 (UTC of the day, 18 leap seconds)."""
     framer = StreamFramer((Wire.NMEA, Wire.UBX, Wire.RTCM3))
-    gga = nmea.decode_gga(framer.feed(gzip.decompress(stream.read_bytes())))
-    tow = np.rint(gga.time_of_day_ns / 1e9 + day_of_week * 86_400 + 18).astype(int)
-    own = {int(t): i for i, t in enumerate(tow.tolist()) if gga.quality[i] == 4}
+    batch = framer.feed(gzip.decompress(stream.read_bytes()))
+    gga, (_, of_day_ns) = nmea.decode_gga(batch), nmea.decode_gga_times(batch)
+    tow = np.rint(of_day_ns / 1e9 + day_of_week * 86_400 + 18).astype(int)
+    own = {int(t): i for i, t in enumerate(tow.tolist()) if gga.fix[i] == "rtk_fixed"}
     pairs = [
         (i, own[second])
         for i, ns in enumerate(int(row["time_gps_ns"]) for row in run.rows)

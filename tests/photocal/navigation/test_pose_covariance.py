@@ -23,7 +23,7 @@ from photocal.navigation.attitude import (
 )
 from photocal.navigation.events import Events
 from photocal.navigation.exposure_files import write_block_images, write_geo_txt
-from photocal.navigation.exposures import Exposures, at_camera, at_events, orientations
+from photocal.navigation.exposures import Exposures, at_camera, at_events, orientations, orientations_in_frame
 from photocal.navigation.rig import CameraOnBody
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import interpolate
@@ -67,7 +67,7 @@ def exposure() -> tuple[Exposures, CameraOnBody]:
 def claimed() -> tuple[Floats, Floats]:
     """Its angles and covariance (6, 6)."""
     found, rig = exposure()
-    angles, covariance = orientations(found, rig).in_frame(np.eye(3)[None])
+    angles, covariance = orientations_in_frame(*orientations(found, rig), np.eye(3)[None])
     return angles[0], covariance[0]
 
 

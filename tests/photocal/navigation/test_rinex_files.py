@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.frames import Wire
 from drivers.rtcm3 import encode
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError
 from photocal.base.time_scales import GPS_EPOCH_NS
@@ -17,9 +18,9 @@ from photocal.navigation.engine import Rtklib
 from photocal.navigation.precise_results import count_ephemerides, read_observation_file
 from photocal.navigation.rinex_files import (
     form_of,
+    frames_of,
     navigation_ready,
     observations_ready,
-    rtcm3_frames,
     rtcm3_time,
     unpacked,
 )
@@ -162,10 +163,10 @@ def test_rtcm_in_djis_files_becomes_observations(shared: Path, tmp_path: Path, n
 @pytest.mark.shared
 def test_the_week_of_rtcm_is_told_by_its_date(shared: Path, tmp_path: Path) -> None:
     raw = (shared / "data/gnss-f9p-lossy-ubx-rtcm/20210809-111055-rtcm3-base-corrections.rtcm3").read_bytes()
-    frames = list(rtcm3_frames(raw))
+    frames = list(frames_of(raw, Wire.RTCM3))
     assert rtcm3_time(frames, tmp_path / "x", TODAY, None).iso()[0].startswith("2021-08-09")
     # Without the date: the other receiver, the name, and then nobody.
-    silent = [frame for frame in frames if (frame[3] << 4 | frame[4] >> 4) != 1013]
+    silent = [frame for frame in frames if frame.kind != 1013]
     assert (
         rtcm3_time(silent, tmp_path / "x", TODAY, day("2021-08-09T10:00:00"))
         .iso()[0]
@@ -184,7 +185,8 @@ def galileo_week(week: int) -> bytes:
 
 def test_the_week_of_galileo_is_whole() -> None:
     """2026-05-18 lies in GPS week 2419, which is 1395 of Galileo."""
-    found = rtcm3_time([galileo_week(2419 - 1024)], Path("x"), TODAY, None)
+    frames = list(frames_of(galileo_week(2419 - 1024), Wire.RTCM3))
+    found = rtcm3_time(frames, Path("x"), TODAY, None)
     assert abs(found.ns[0] - day("2026-05-18T00:00:00").ns[0]) < 7 * 86_400e9
 
 

@@ -14,7 +14,7 @@ from acquire.log.writer import LogWriter
 from acquire.recording.dialogues import VehicleDialogue
 from drivers.frames import StreamFramer, Wire
 from drivers.mavlink.dialect import ardupilotmega
-from photocal.navigation.device_clocks import ComparedClocks, device_by_arrival
+from photocal.navigation.device_clocks import ComparedClocks, converted, device_by_arrival
 from photocal.navigation.events import boot_exposures
 from photocal.navigation.exposure_sources import events_of
 from photocal.navigation.flight_log import FlightLog
@@ -48,7 +48,7 @@ def test_the_length_of_the_exchange_bounds_the_offset(there_ms: float, back_ms: 
     host, trip = exchanges(there_ms / 1e3, back_ms / 1e3, 2)
     sync = time_sync(BOOT, host, trip)
     assert sync is not None
-    segment = sync.host_of_boot.cycles[0].segments[0]
+    segment = sync.host_of_boot.cycles[0][0]
     assert abs(segment.drift_ppm + 12) < 4 * segment.rate_sigma * 1e6
     # Of the whole trip: uniformly distributed between none of it and all of it on one way.
     shortest = (there_ms + back_ms) / 1e3
@@ -78,7 +78,7 @@ def test_arrival_alone_is_late_by_the_way() -> None:
     assert late is not None
     assert sync is not None
     moment = UTC + BOOT[100:101] + nanoseconds(BOOT[100:101] / 1e9 * -12e-6)
-    assert int(late.cycles[0].convert(moment)[0][0] - BOOT[100]) < -1_000_000
+    assert int(converted(late.cycles[0], moment)[0][0] - BOOT[100]) < -1_000_000
     assert abs(int(sync.boot(moment)[0][0] - BOOT[100])) < 500_000
     assert time_sync(BOOT[:0], BOOT[:0], BOOT[:0]) is None
 

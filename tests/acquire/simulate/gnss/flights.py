@@ -11,7 +11,7 @@ from pyproj import Transformer
 
 from acquire.simulate.gnss.constellation import Antenna
 from acquire.simulate.gnss.observations import Session, simulate
-from acquire.simulate.gnss.settings import Faults, SkySettings
+from acquire.simulate.gnss.settings import ROVER, ReceiverModel, SkySettings
 from acquire.simulate.gnss.streams import Pulses, Stream, base_rtcm, base_ubx, rover_ubx
 
 Floats = NDArray[np.float64]
@@ -79,7 +79,8 @@ def fly(
     start: int = START,
     duration_s: int = DURATION_S,
     seed: int = 3,
-    faults: Faults | None = None,
+    rover_model: ReceiverModel = ROVER,
+    base_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
     sky: SkySettings | None = None,
 ) -> Session:
     return simulate(
@@ -87,7 +88,8 @@ def fly(
         Antenna.still(BASE_M),
         (start, start + duration_s * SECOND),
         rng=np.random.default_rng(seed),
-        faults=faults,
+        rover_model=rover_model,
+        base_shift_m=base_shift_m,
         sky=sky,
     )
 

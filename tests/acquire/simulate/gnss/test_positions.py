@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from acquire.cli import app as acquire_app
-from acquire.simulate.gnss.settings import Faults, SkySettings
+from acquire.simulate.gnss.settings import ROVER, SkySettings
 from photocal.cli import app as photocal_app
 from tests.acquire.simulate.gnss.flights import (
     AXES,
@@ -147,7 +148,7 @@ def test_photocal_agrees_with_rtklib_by_hand(trajectory: Rows, by_hand: dict[str
 
 def test_a_base_off_by_a_metre_moves_all(tmp_path: Path, trajectory: Rows) -> None:
     """The same noise, another announced position: every point goes along, and the fixes do not tell it."""
-    moved = ppk(streams(fly(faults=Faults(base_shift_m=(0.6, 0.0, 0.8)))), tmp_path)
+    moved = ppk(streams(fly(base_shift_m=(0.6, 0.0, 0.8))), tmp_path)
     shift = (geocentric(moved) - geocentric(trajectory)) @ AXES.T
     assert np.allclose(np.median(shift, axis=0), [0.6, 0.0, 0.8], atol=0.002)
     assert fixes(moved).mean() > 0.95
@@ -156,13 +157,13 @@ def test_a_base_off_by_a_metre_moves_all(tmp_path: Path, trajectory: Rows) -> No
 @pytest.mark.parametrize("rate", [360.0, 1800.0])
 def test_slips_everywhere_bring_no_wrong_fix(rate: float, rinex: Rinex, tmp_path: Path) -> None:
     """A slip of each signal every ten (two) seconds."""
-    rows = ppk(streams(fly(faults=Faults(rover_slips_per_hour=rate))), tmp_path)
+    rows = ppk(streams(fly(rover_model=replace(ROVER, slips_per_hour=rate))), tmp_path)
     assert not np.any(errors(rows)[fixes(rows)] > 0.05)
 
 
 def test_a_gap_is_a_gap(rinex: Rinex, tmp_path: Path) -> None:
     """The engine fixes one epoch wrongly while the channels lock again; photocal does not believe it."""
-    rows = ppk(streams(fly(faults=Faults(rover_gaps_s=((50.0, 65.0),)))), tmp_path)
+    rows = ppk(streams(fly(rover_model=replace(ROVER, gaps_s=((50.0, 65.0),)))), tmp_path)
     seconds = (times(rows) - START) / 1e9
     assert not np.any((seconds > 50.0) & (seconds < 65.0))
     # Channels need up to four seconds to lock again.

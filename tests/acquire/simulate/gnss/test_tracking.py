@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from acquire.simulate.gnss.constellation import Antenna
 from acquire.simulate.gnss.observations import Session, run_clock, simulate, track
-from acquire.simulate.gnss.settings import Faults, ReceiverModel, SkySettings
+from acquire.simulate.gnss.settings import ROVER, ReceiverModel, SkySettings
 from acquire.simulate.gnss.streams import Pulses, base_rtcm, base_ubx, rover_ubx, time_mark_messages
 from photocal.base.errors import ConfigurationError
 from tests.acquire.simulate.gnss.flights import BASE_M, SECOND, START, fly, gps_ns, streams
@@ -129,7 +130,7 @@ def test_clock_steps_move_time_code_and_phase_together() -> None:
 
 def test_gap_and_mask() -> None:
     free = fly(duration_s=40)
-    faulty = fly(duration_s=40, faults=Faults(rover_gaps_s=((10.0, 20.0),)))
+    faulty = fly(duration_s=40, rover_model=replace(ROVER, gaps_s=((10.0, 20.0),)))
     seconds = faulty.rover.clock.tag_gps_ns[faulty.rover.rows["epoch"]] / 1e9 - START / 1e9
     assert not ((seconds > 10.01) & (seconds < 19.99)).any()
     assert (seconds > 26).any()
@@ -157,7 +158,7 @@ def test_an_unhealthy_satellite_says_so() -> None:
 
 def test_rtklib_sees_the_slips(tmp_path: Path) -> None:
     """Loss of lock: bit 0 where an arc begins or half a cycle goes, bit 1 while half a cycle is not known."""
-    session = fly(faults=Faults(rover_slips_per_hour=360.0))
+    session = fly(rover_model=replace(ROVER, slips_per_hour=360.0))
     lines = to_rinex(streams(session), tmp_path).rover.read_text().split("END OF HEADER")[1].splitlines()[1:]
     seen: dict[tuple[str, int, int], int] = {}
     epoch = -1

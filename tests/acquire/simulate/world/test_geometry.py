@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from dataclasses import replace
 from functools import partial
 
@@ -15,8 +16,9 @@ from acquire.simulate.world import configuration
 from acquire.simulate.world.exposures import TO_OPENCV, Pose, antenna_at, antenna_velocity, omega_phi_kappa
 from acquire.simulate.world.motion import GRAVITY_M_S2, body_of
 from acquire.simulate.world.observations import row_time, seen, seen_rolling
+from acquire.simulate.world.place import Place
 from acquire.simulate.world.site import grid_to_local
-from acquire.simulate.world.terrain import Place, make_terrain
+from acquire.simulate.world.terrain import make_terrain
 from acquire.simulate.world.world import World
 
 
@@ -106,8 +108,8 @@ def test_the_frame_is_that_of_pyproj(world: World) -> None:
     place = world.place
     points = np.array([[0.0, 0.0, 0.0], [120.0, -80.0, 55.0], [-300.0, 900.0, -20.0]])
     pipeline = (
-        f"+proj=topocentric +ellps=GRS80 +lat_0={np.degrees(place.latitude)} "
-        f"+lon_0={np.degrees(place.longitude)} +h_0={place.height_m}"
+        f"+proj=topocentric +ellps=GRS80 +lat_0={place.latitude_deg} "
+        f"+lon_0={place.longitude_deg} +h_0={place.height_m}"
     )
     to_local = Transformer.from_pipeline(pipeline)
     local = np.column_stack(to_local.transform(*place.to_geocentric(points).T))
@@ -124,7 +126,13 @@ def test_the_frame_is_that_of_pyproj(world: World) -> None:
 
 
 def test_grid_axes_against_differences_of_the_projection() -> None:
-    place = Place(np.radians(-25.4), np.radians(-49.2), 900.0, "EPSG:31982")
+    place = Place(
+        latitude_deg=-25.4,
+        longitude_deg=-49.2,
+        height_m=900.0,
+        crs="EPSG:31982",
+        start_utc=dt.datetime(2025, 6, 15, tzinfo=dt.UTC),
+    )
     points = np.array([[0.0, 0.0, 0.0], [400.0, 300.0, 50.0]])
     axes = grid_to_local(place, points)
     for k, column in enumerate(np.moveaxis(axes, 2, 0)):

@@ -222,7 +222,7 @@ def test_a_zoom_changes_the_camera_of_later_passes() -> None:
 
 def test_faults_have_sizes() -> None:
     """Each figure is found again in what the surveyor noted, or in the truth."""
-    from acquire.simulate.world.block_folder import take_notes, telemetry_gap
+    from acquire.simulate.world.block_folder import noted_control, telemetry_gap
 
     sizes = {
         "antenna_height_m": 0.3, "base_m": [1.0, 2.0, 3.0], "late_s": 0.017, "zoom": 1.01,
@@ -233,12 +233,12 @@ def test_faults_have_sizes() -> None:
         world_of(PLANS / "survey.toml", faults=faults, fault_sizes=sizes) for faults in ([], every)
     )
     coordinates = right.targets.surveyed_m
-    noted, mistaken = take_notes(right, coordinates), take_notes(wrong, coordinates)
-    assert noted.base_antenna_height_m - mistaken.base_antenna_height_m == pytest.approx(0.3)
-    assert mistaken.base_m - noted.base_m == pytest.approx(np.array([1.0, 2.0, 3.0]))
+    noted, mistaken = (noted_control(world, coordinates)[0] for world in (right, wrong))
+    assert right.noted_antenna_height_m - wrong.noted_antenna_height_m == pytest.approx(0.3)
+    assert wrong.noted_base_m - right.noted_base_m == pytest.approx(np.array([1.0, 2.0, 3.0]))
     assert wrong.rig.time_offset_s - right.rig.time_offset_s == pytest.approx(0.017)
     assert wrong.exposures.cameras[-1].fx == pytest.approx(1.01 * right.exposures.cameras[-1].fx)
-    apart = np.array(mistaken.control, dtype=float) - np.array(noted.control, dtype=float)
+    apart = np.array(mistaken, dtype=float) - np.array(noted, dtype=float)
     assert apart[np.any(apart != 0, axis=1)] == pytest.approx(np.array([[0.0, 10.0, 0.0]]))
     begin, end = telemetry_gap(wrong)
     assert end - begin == pytest.approx(10.0)

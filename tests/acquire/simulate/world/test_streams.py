@@ -65,7 +65,7 @@ def test_the_autopilot_tells_the_truth_with_its_errors(small: Flight) -> None:
     assert error.std(axis=0) == pytest.approx(sigma, rel=0.35)
     assert np.abs(error.mean(axis=0) / sigma).max() < 0.6
     places = [one for one in telemetry.messages(world) if one.name == "GLOBAL_POSITION_INT"]
-    north = np.radians([one.fields["lat"] * 1e-7 for one in places]) - world.place.latitude
+    north = np.radians([one.fields["lat"] * 1e-7 for one in places]) - np.radians(world.place.latitude_deg)
     assert np.abs(north * 6.37e6).max() < 60
     climbed = max(one.fields["relative_alt"] for one in places) / 1e3
     assert climbed == pytest.approx(28 - world.motion.ground_m, abs=4)
