@@ -5,8 +5,7 @@ than ours); interior orientation in mm, signs and lens models as in `dbat_camera
 project's unit, taken as m. A control coordinate without sigma is held. Exterior orientations are left open.
 """
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Collection, Iterator
 from pathlib import Path, PurePosixPath
 from xml.etree.ElementTree import Element, SubElement
 
@@ -19,7 +18,6 @@ from photocal.exchange import parts
 from photocal.exchange.dbat_camera import (
     NAMES,
     OURS,
-    DbatCamera,
     DbatRow,
     from_dbat,
     read_rows,
@@ -64,7 +62,7 @@ def read(path: Path) -> ForeignProject:
     cameras: dict[str, Camera] = {}
     for file in sorted(path.parent.glob("result*/*.xml")):
         try:
-            cameras |= {given.name: from_dbat(given, given.name, file) for given in read_dbat_cameras(file)}
+            cameras |= {given.id: given for given in read_dbat_cameras(file)}
         except PhotocalError:
             continue
     known = tuple(camera for name, camera in cameras.items() if name in names)
@@ -86,10 +84,7 @@ def read_dbat(path: Path) -> Block:
             where=path,
         )
     reader = _Tables(path, given)
-    cameras = [
-        from_dbat(camera, camera.name or f"camera{k}", path)
-        for k, camera in enumerate(_used_cameras(root, given, path), start=1)
-    ]
+    cameras = _used_cameras(root, given, path)
     if len(cameras) > 1:
         raise InputMalformedError(
             "has several cameras",
@@ -107,12 +102,13 @@ def read_dbat(path: Path) -> Block:
     return parts.block_of_marks(title, cameras, shots, surveyed, marks, [path, *reader.read])
 
 
-def read_dbat_cameras(path: Path) -> tuple[DbatCamera, ...]:
+def read_dbat_cameras(path: Path) -> tuple[Camera, ...]:
     """Read a DBAT camera file (dbat_camera_version 1)."""
     root = read_xml(path)
     if "dbat_camera_version" not in root.attrib:
         raise InputMalformedError("is not a DBAT camera file", where=path)
-    return tuple(_camera(element, path, loaded=True) for element in root.iterfind("cameras/camera"))
+    given = enumerate(root.iterfind("cameras/camera"), start=1)
+    return tuple(_camera(element, path, f"camera{k}", loaded=True) for k, element in given)
 
 
 class _Tables:
@@ -169,13 +165,12 @@ def _mark(row: DbatRow, names: dict[str, str], common: float | None) -> parts.Ma
     return parts.Mark(names[image], row.name("id"), x, y, sigma, row.line.place)
 
 
-def _used_cameras(root: Element, given: Element, path: Path) -> Iterator[DbatCamera]:
+def _used_cameras(root: Element, given: Element, path: Path) -> list[Camera]:
     start = root.find("operations/operation/set_initial_values/io")
     loaded = start is not None and (start.findtext("all") or start.text or "").strip() == "loaded"
     switches = _estimated_interior(root, path)
-    for element in given.iterfind("cameras/camera"):
-        camera = _camera(element, path, loaded)
-        yield replace(camera, estimate=tuple(name for name in camera.estimate if name in switches))
+    elements = enumerate(given.iterfind("cameras/camera"), start=1)
+    return [_camera(element, path, f"camera{k}", switches, loaded=loaded) for k, element in elements]
 
 
 def _estimated_interior(root: Element, path: Path) -> set[str]:
@@ -203,8 +198,14 @@ def _truth(text: str, path: Path) -> bool:
     return text == "true"
 
 
-def _camera(element: Element, path: Path, loaded: bool) -> DbatCamera:
-    """Read `<camera>`; with `loaded`, its calibrated values, else nominal ones."""
+def _camera(
+    element: Element, path: Path, unnamed: str, switches: Collection[str] = NAMES, *, loaded: bool
+) -> Camera:
+    """Read `<camera>`; with `loaded`, its calibrated values, else nominal ones.
+
+    unnamed: what it is called where it has no name.
+    switches: parameters that may be estimated.
+    """
     unit = (element.findtext("unit") or "mm").strip()
     malformed = InputMalformedError.at(path)
     if unit not in _UNITS:
@@ -232,14 +233,10 @@ def _camera(element: Element, path: Path, loaded: bool) -> DbatCamera:
         values |= _calibrated(element, path, lists)
     estimate = ["cc", "px", "py", "as", "sk"]
     estimate += [f"{name}{k + 1}" for name in "KP" for k in range(counts[name])]
-    return DbatCamera(
-        (element.findtext("name") or element.findtext("id") or "").strip(),
-        int(_list(element, "model", path, 1, [1])[0]),
-        size_px,
-        pixel,
-        values,
-        tuple(estimate),
-    )
+    name = (element.findtext("name") or element.findtext("id") or "").strip() or unnamed
+    number_of_model = int(_list(element, "model", path, 1, [1])[0])
+    free = tuple(term for term in estimate if term in switches)
+    return from_dbat(name, number_of_model, size_px, pixel, values, free, path)
 
 
 def _calibrated(element: Element, path: Path, lists: dict[str, list[float]]) -> dict[str, float]:
