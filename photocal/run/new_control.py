@@ -28,7 +28,6 @@ from photocal.measurement.mark_frames import (
 from photocal.measurement.marks import ControlMarks, in_map_system, named_after, unit_m
 from photocal.measurement.place_tables import FOOT_M, SURVEY_FOOT_M
 from photocal.measurement.position_files import map_places
-from photocal.run.folder_survey import ControlFile
 from photocal.run.project_checks import FAR_FROM_PICTURES_M, check_place, unfit
 
 HEIGHTS = ("ellipsoidal", "orthometric", "local")
@@ -72,6 +71,15 @@ class NewProject:
     changes: tuple[str, ...] = ()
     say: Catalogue = field(default_factory=lambda: catalogue("en"))
 
+    def __post_init__(self) -> None:
+        """Refuse a kind of heights that is none."""
+        if self.height and self.height not in HEIGHTS:
+            raise ConfigurationError(
+                f"heights of the kind {self.height!r} are not known",
+                f"give {', '.join(HEIGHTS[:2])} or {HEIGHTS[2]}",
+                where="--height",
+            )
+
     @property
     def fixing(self) -> int:
         """Control points that two pictures and more show."""
@@ -80,48 +88,28 @@ class NewProject:
         return sum(count[name] >= 2 for name, used in zip(self.points.names, roles, strict=True) if used)
 
 
-@dataclass(frozen=True)
-class StatedControl:
-    """What a person has said of control beside its file: system, kind of heights, frame of the marks.
-
-    language: of what is said to that person.
-    """
-
-    crs: str = ""
-    height: str = ""
-    frame: MarkFrame | None = None
-    language: str = "en"
-
-    def __post_init__(self) -> None:
-        if self.height and self.height not in HEIGHTS:
-            raise ConfigurationError(
-                f"heights of the kind {self.height!r} are not known",
-                f"give {', '.join(HEIGHTS[:2])} or {HEIGHTS[2]}",
-                where="--height",
-            )
-
-
 def settle(
-    given: ControlFile | None,
-    told: StatedControl,
+    made: NewProject,
+    given: ControlMarks | None,
+    frame: MarkFrame | None,
     facts: Sequence[ImageFacts],
     folder: Mapping[str, Path],
     *,
     flown: bool,
-) -> NewProject:
+) -> None:
     """Settle what control of a folder is.
 
+    made: with the system and the kind of heights as far as a person says them.
+    frame: of the pictures that the marks were made in, where a person says it.
     folder: where the pictures lie, by name.
     flown: whether a flight log has positions.
     """
-    placed = [image for image in facts if image.has_position]
-    say = catalogue(told.language)
-    made = NewProject(crs=told.crs, height=told.height, say=say)
-    if given is not None and given.points is not None:
-        given = _as_stated(given, told, placed, made)
-        made.points, made.assumed = given.points or NO_POINTS, given.assumed
+    placed, say = [image for image in facts if image.has_position], made.say
+    if given is not None:
+        given = _as_stated(given, placed, made)
+        made.points, made.assumed = given.points, given.assumed
         made.rows, made.refused, made.level = given.rows, list(given.refused), given.level
-        _with_marks(made, given, told, facts, folder)
+        _with_marks(made, given, frame, facts, folder)
     matters = bool(placed) or flown
     # Nothing that is asked may be of no use.
     placeable = matters or made.fixing >= policy.fewest_control
@@ -138,29 +126,26 @@ def settle(
         if not matters and made.fixing < policy.fewest_control:
             made.missing.append(say("new.few_placing", n=made.fixing, fewest=policy.fewest_control))
     made.doubtful += [say("new.not_used", text=line) for line in made.refused]
-    return made
 
 
-def _as_stated(
-    given: ControlFile, told: StatedControl, placed: Sequence[ImageFacts], made: NewProject
-) -> ControlFile:
+def _as_stated(given: ControlMarks, placed: Sequence[ImageFacts], made: NewProject) -> ControlMarks:
     """Control with the unit, the order and the kind of heights that its table states, or pictures show."""
-    points, say, file = given.points or NO_POINTS, made.say, given.file.name
+    points, say, file = given.points, made.say, given.file.name
     if given.height:
         named = {"head": given.height_head, "file": file}
-        if not told.height:
+        if not made.height:
             made.height = given.height
             made.known.append(say("new.height_head", kind=say(f"new.kind.{given.height}"), **named))
-        elif told.height != given.height and told.height in HEIGHTS[:2]:
-            kind, other = (say(f"new.kind.{kind}") for kind in (told.height, given.height))
+        elif made.height != given.height and made.height in HEIGHTS[:2]:
+            kind, other = (say(f"new.kind.{kind}") for kind in (made.height, given.height))
             made.doubtful.append(say("new.height_contradicts", kind=kind, other=other, **named))
     if given.unit_m != 1.0:
         factor = np.where([[name in given.assumed] for name in points.names], 1.0, given.unit_m)
         metres = replace(points, values=points.values * given.unit_m, sigma=points.sigma * factor)
-        if _in_metres(metres, told.crs or given.crs, placed):
+        if _in_metres(metres, made.crs or given.crs, placed):
             points = metres
             made.known.append(say("new.units_taken", file=file, unit=_unit_named(given.unit_m, say)))
-    if given.unordered and placed and not told.crs and not _system_of(points, placed):
+    if given.unordered and placed and not made.crs and not _system_of(points, placed):
         turned = replace(points, values=points.values[:, [1, 0, 2]])
         if _system_of(turned, placed):
             points = turned
@@ -187,7 +172,7 @@ def _in_metres(metres: ObjectPoints, crs: str, placed: Sequence[ImageFacts]) -> 
     return bool(placed and _system_of(metres, placed))
 
 
-def _with_place(made: NewProject, given: ControlFile | None, placed: Sequence[ImageFacts]) -> None:
+def _with_place(made: NewProject, given: ControlMarks | None, placed: Sequence[ImageFacts]) -> None:
     """Name the slip of all points where they contradict the places of the pictures, which stops a run."""
     if not placed or given is None:
         return
@@ -202,8 +187,8 @@ def _with_place(made: NewProject, given: ControlFile | None, placed: Sequence[Im
 
 def _with_marks(
     made: NewProject,
-    given: ControlFile,
-    told: StatedControl,
+    given: ControlMarks,
+    frame: MarkFrame | None,
     facts: Sequence[ImageFacts],
     folder: Mapping[str, Path],
 ) -> None:
@@ -222,8 +207,8 @@ def _with_marks(
         # A picture may stand there under two names, with its ending and without.
         if here.setdefault((mark.image, mark.point), mark) is not mark:
             again.append(mark)
-    if told.frame is not None:
-        made.frame = told.frame
+    if frame is not None:
+        made.frame = frame
     elif here:
         found = choose_frame(list(here.values()), pictures, folder)
         if (not found.sure or found.chosen != AS_STORED) and not found.fractions:
