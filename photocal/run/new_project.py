@@ -19,7 +19,7 @@ from photocal.findings.texts import Catalogue, catalogue, finding_text, plain
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.measurement.control_review import listed as some_names
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
-from photocal.measurement.maker_camera import HeadGroup, StatedCamera, group_cameras, stated_camera
+from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
 from photocal.measurement.mark_frames import AS_STORED, MarkFrame, parse_frame
 from photocal.measurement.marks import ControlMarks, named_after
 from photocal.measurement.picture_tests import judge_cameras, judge_pictures, told_beside
@@ -27,7 +27,7 @@ from photocal.measurement.position_files import read_positions
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
-from photocal.run.camera_card import chosen_pictures
+from photocal.run.camera_card import ChosenPictures, chosen_pictures
 from photocal.run.folder_survey import ASSUMED_M, FolderContents, survey
 from photocal.run.new_control import NewProject, settle
 from photocal.run.renewed_project import answered_height, renewed, written_before
@@ -71,11 +71,8 @@ def new_project(
         )
     chosen = chosen_pictures(folder, seen.pictures, seen.events, say)
     seen.pictures, seen.events = chosen.pictures, list(chosen.events)
-    pictures, facts, frame = chosen.folder, chosen.facts, chosen.frame
-    control = _chosen(seen, facts)
-    text = _Text(folder, seen, facts, pictures, control, made, made_in, frame)
-    text.known += chosen.known
-    text.missing += chosen.missing
+    control = _chosen(seen, chosen.facts)
+    text = _Text(folder, seen, chosen, control, made, made_in)
     files = {NAME: "\n".join(text.lines()) + "\n"}
     if text.listed:
         files[PICTURES] = text.pictures_table()
@@ -144,15 +141,14 @@ class _Text:
         self,
         folder: Path,
         seen: FolderContents,
-        facts: Sequence[ImageFacts],
-        pictures: Path | None,
+        chosen: ChosenPictures,
         given: ControlMarks | None,
         control: NewProject,
         made_in: MarkFrame | None,
-        frame: HeadGroup | None = None,
     ) -> None:
-        self.folder, self.seen, self.facts, self.pictures, self.given = folder, seen, facts, pictures, given
-        self.frame, self.control, self.say = frame, control, control.say
+        self.folder, self.seen, self.given, self.control, self.say = folder, seen, given, control, control.say
+        facts, pictures, frame = chosen.facts, chosen.folder, chosen.frame
+        self.facts, self.pictures, self.frame = facts, pictures, frame
         self.cameras, self.member = group_cameras(facts)
         if frame is not None:
             head_of = {path.name: head for path, head in frame.head.items()}
@@ -171,7 +167,8 @@ class _Text:
             self.events, placing = self._events(told_of)
         settle(control, given, made_in, placing, where, flown=bool(seen.logs))
         self.known, self.missing = control.known, control.missing
-        self.missing += told_of
+        self.known += chosen.known
+        self.missing += [*told_of, *chosen.missing]
         self.asked, self.crs, self.height = control.asked, control.crs, control.height
         self.control_points, self.marks = control.points, control.marks
 
