@@ -12,7 +12,7 @@ from photocal.block.model import ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue
-from photocal.geometry.frames import system_of
+from photocal.geometry.frames import code_of, level_of, system_of
 
 # A point so far from the others, and so many times as far as they are from each other, is none of the site.
 FAR_M, FARTHER = 2_000.0, 20.0
@@ -88,17 +88,16 @@ def _of_other_zones(place: Floats, crs: str) -> Iterator[tuple[str, Floats]]:
     from pyproj.exceptions import CRSError, ProjError
 
     try:
-        system = system_of(crs)
-        level = system.sub_crs_list[0] if system.is_compound else system
-        authority = level.to_authority()
-        if authority is None or not authority[1].isdecimal():
+        level = level_of(system_of(crs))
+        register, _, code = code_of(level).partition(":")
+        if not code.isdecimal():
             return
         for step in ZONES:
-            other = system_of(f"{authority[0]}:{int(authority[1]) + step}")
+            other = system_of(f"{register}:{int(code) + step}")
             # Of the same family: zones differ in their number alone.
             if other.is_projected and _family(other.name) == _family(level.name):
                 way = Transformer.from_crs(other, level, always_xy=True)
-                yield f"{':'.join(other.to_authority())} ({other.name})", np.array(way.transform(*place))
+                yield f"{code_of(other)} ({other.name})", np.array(way.transform(*place))
     except (CRSError, ProjError):
         return
 

@@ -21,7 +21,7 @@ from photocal.exchange.parts import Mark, PointEntry, object_points, require_uni
 from photocal.exchange.source import Line, number, read_json, read_lines, read_xml, require_readable
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
-from photocal.geometry.frames import system_of
+from photocal.geometry.frames import code_of, system_of, utm_zones
 from photocal.measurement.mark_frames import are_fractions
 from photocal.measurement.position_files import IMAGE_HEADS
 
@@ -165,8 +165,6 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
     are in feet, too.
     """
     from pyproj import Transformer
-    from pyproj.aoi import AreaOfInterest
-    from pyproj.database import query_utm_crs_info
     from pyproj.exceptions import CRSError
 
     if given.crs == "local":
@@ -183,17 +181,14 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
     elif (metres := unit_m(system)) != 1.0:
         system, points = _of_feet(system, metres, points, given.assumed)
     if not system.is_geographic:
-        authority = system.to_authority()
-        return replace(given, crs=":".join(authority) if authority else given.crs)
+        return replace(given, crs=code_of(system) or given.crs)
     longitude, latitude = points.values[:, :2].mean(axis=0).tolist()
     if not (abs(latitude) <= 84 and abs(longitude) <= 180):
         raise ConfigurationError(
             f"control at longitude {longitude:.6f}, latitude {latitude:.6f} is impossible",
             "are latitude and longitude exchanged?",
         )
-    area = AreaOfInterest(longitude, latitude, longitude, latitude)
-    zone = query_utm_crs_info("WGS 84", area)[0]
-    name = f"{zone.auth_name}:{zone.code}"
+    name = utm_zones(latitude, longitude)[0]
     east, north = Transformer.from_crs(system.to_2d(), name, always_xy=True).transform(
         points.values[:, 0], points.values[:, 1], errcheck=True
     )

@@ -19,6 +19,7 @@ from photocal.block.network import NetworkOfBlock, assemble
 from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+from photocal.measurement.image_file import left_out_entry
 from photocal.measurement.tie_block import (
     GROSS,
     fitting,
@@ -62,6 +63,11 @@ class AdjustedTies:
         """Standard deviation of the rays of tie points, root mean square, px."""
         return float(np.sqrt(np.mean(self.block.observations.sigma[-len(self.tracks.track) :] ** 2)))
 
+    def after(self, before: Self) -> Self:
+        """Count what an adjustment before this one has rejected and left out, too."""
+        left_out = (*before.left_out, *self.left_out)
+        return replace(self, rejected=before.rejected + self.rejected, left_out=left_out)
+
 
 @dataclass(frozen=True)
 class _Ties:
@@ -102,11 +108,7 @@ class _Ties:
         """Take out the images that too few rays hold."""
         few, names = count < FEWEST_RAYS, self.start.images.names
         gone = [
-            {
-                "image": names[k],
-                "reason": f"only {count[k]} of its tie points fit the other images",
-                "code": "few-ties",
-            }
+            left_out_entry(names[k], f"only {count[k]} of its tie points fit the other images", "few-ties")
             for k in np.flatnonzero(few)
         ]
         if (~few).sum() < 2:
@@ -187,12 +189,8 @@ def with_vibration(adjusted: AdjustedTies) -> AdjustedTies:
             adjusted.start.cameras, network.cameras, solution.cameras, strict=True
         )
     )
-    again = adjust_ties(replace(adjusted.start, cameras=cameras), adjusted.values, adjusted.tracks)
-    return replace(
-        again,
-        rejected=adjusted.rejected + again.rejected,
-        left_out=(*adjusted.left_out, *again.left_out),
-    )
+    start = replace(adjusted.start, cameras=cameras)
+    return adjust_ties(start, adjusted.values, adjusted.tracks).after(adjusted)
 
 
 def _kept(start: Block, poses: Floats) -> Images:

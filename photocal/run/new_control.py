@@ -14,7 +14,7 @@ from photocal.base.policy import policy
 from photocal.block.model import NO_POINTS, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.findings.texts import Catalogue, catalogue
-from photocal.geometry.frames import system_of
+from photocal.geometry.frames import code_of, level_of, system_of, utm_zones
 from photocal.geometry.systems import MapSystem, at_place, called, heights_at, is_meant, missing_grids
 from photocal.measurement.control_review import alone, heights_apart, listed, stray_points, twins
 from photocal.measurement.image_facts import ImageFacts
@@ -339,8 +339,7 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
             made.asked.append(say("new.crs_refused", text=refusal))
             return ""
         if moved is None:
-            authority = system.to_authority()
-            return ":".join(authority) if authority and not system.is_compound else text
+            return ("" if system.is_compound else code_of(system)) or text
         if wrong := unfit(moved.crs, say):
             local = say("new.or_local")
             made.asked.append(say("new.crs_unfit", text=text, wrong=wrong, or_local=local))
@@ -416,9 +415,8 @@ def _heights_of(crs: str) -> str:
 
 def _level(crs: str) -> str:
     """The plane of a compound system, by its code."""
-    plane = system_of(crs).sub_crs_list[0]
-    authority = plane.to_authority()
-    return ":".join(authority) if authority else str(plane.to_wkt())
+    plane = level_of(system_of(crs))
+    return code_of(plane) or str(plane.to_wkt())
 
 
 def _with_geoid(made: NewProject, placed: Sequence[ImageFacts]) -> None:
@@ -470,8 +468,7 @@ def _turned(places: Floats, placed: Sequence[ImageFacts]) -> bool | None:
 
 def zone_of(placed: Sequence[ImageFacts]) -> str:
     """UTM zone of the middle of the pictures."""
-    middle = np.mean([(image.longitude_deg, image.latitude_deg, 0.0) for image in placed], axis=0)
-    return in_map_system(ControlMarks("EPSG:4326", ObjectPoints(("middle",), middle[None]), ())).crs
+    return utm_zones(*np.mean([(image.latitude_deg, image.longitude_deg) for image in placed], axis=0))[0]
 
 
 def _system_of(points: ObjectPoints, placed: Sequence[ImageFacts]) -> str:

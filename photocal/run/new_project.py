@@ -162,7 +162,8 @@ class _Text:
         self.placed = [image for image in facts if image.has_position]
         where = {path.name: path for path in _paths(seen, pictures)}
         stated = sum(np.isfinite(image.position_sigma_m).all() for image in self.placed)
-        told_of, placing, self.events = list[str](), facts, list[Path]()
+        told_of, self.events = list[str](), list[Path]()
+        placing: Sequence[ImageFacts] = facts
         if stated < len(facts) and not (seen.logs or seen.positions):
             self.events, placing = self._events(told_of)
         settle(control, given, made_in, placing, where, flown=bool(seen.logs))
@@ -276,7 +277,7 @@ class _Text:
         missing: what is said of others, and why they are not used.
         """
         names, usable, say = [image.name for image in self.facts], list[Path](), self.say
-        placing = self.facts
+        placing: Sequence[ImageFacts] = self.facts
         for path in self.seen.events:
             try:
                 listed = list(map(read_positions(path, names), self.facts))
