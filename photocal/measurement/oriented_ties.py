@@ -24,7 +24,6 @@ from photocal.measurement.tie_block import (
     marked_control,
     reprojection_errors,
     with_ties,
-    without_images,
 )
 from photocal.measurement.tie_orientation import oriented, position_sigmas, reweighted
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
@@ -83,7 +82,7 @@ def first_orientation(marked: Block, tracks: Tracks) -> Oriented:
     named = zip(start.images.names, reasons, strict=True)
     left_out += [left_out_entry(name, why, "not-joined") for name, why in named if why]
     reached = np.array([not reason for reason in reasons])
-    start, tracks = without_images(placed, ~reached), of_images(tracks, reached)
+    start, tracks = placed.of_images(reached), of_images(tracks, reached)
     stated = dict(zip(names, sigma, strict=True))
     first = adjust_ties(start, poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL))
     fits = first.start
@@ -232,7 +231,7 @@ def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, list[dict[s
                 f"the images cannot be oriented by tie points: {reasons}",
                 "take images that overlap by 60 % and more, from different places",
             )
-        start, tracks = without_images(start, few), of_images(tracks, ~few)
+        start, tracks = start.of_images(~few), of_images(tracks, ~few)
 
 
 def _strong(tracks: Tracks, sizes: Floats, in_a_cell: int) -> Tracks:

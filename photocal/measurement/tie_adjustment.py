@@ -26,7 +26,6 @@ from photocal.measurement.tie_block import (
     place,
     ray_sigmas,
     with_ties,
-    without_images,
     without_single_rays,
 )
 from photocal.measurement.tracks import Tracks, of_images
@@ -119,7 +118,7 @@ class _Ties:
         ties = self.some(~few[self.tracks.image])
         return replace(
             ties,
-            start=without_images(self.start, few),
+            start=self.start.of_images(~few),
             poses=self.poses[~few],
             tracks=of_images(ties.tracks, ~few),
             left_out=(*self.left_out, *gone),

@@ -83,22 +83,6 @@ def position_sigma(
     return np.where(np.isfinite(stated) & (stated > 0), stated, assumed)
 
 
-def without_images(block: Block, gone: Flags) -> Block:
-    """Take images out of a block, with their observations and the cameras of no other image; points stay."""
-    keep = np.flatnonzero(~gone)
-    images, seen = block.images, block.observations
-    place = np.full(len(gone), -1)
-    place[keep] = np.arange(len(keep))
-    left = place[seen.image] >= 0
-    cameras, camera = np.unique(images.camera[keep], return_inverse=True)
-    return replace(
-        block,
-        cameras=tuple(block.cameras[k] for k in cameras),
-        images=replace(images.some(keep), camera=camera.astype(np.int64)),
-        observations=replace(seen.rows(left), image=place[seen.image[left]]),
-    )
-
-
 def without_single_rays(block: Block) -> Block:
     """Take out what is measured in one image only: of a free block it determines nothing."""
     seen = block.observations

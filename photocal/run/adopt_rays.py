@@ -37,7 +37,7 @@ from photocal.measurement.marks import (
     read_control_marks,
     with_marks,
 )
-from photocal.measurement.tie_block import TIE, intersected, views_of, without_images
+from photocal.measurement.tie_block import TIE, intersected, views_of
 from photocal.measurement.tracks import Tracks
 from photocal.run.folder_survey import ASSUMED_M
 
@@ -168,7 +168,7 @@ def without_what_hangs_loose(foreign: ForeignProject) -> ForeignProject:
         if not few.any() or few.all():
             break
         names += [block.images.names[k] for k in np.flatnonzero(few)]
-        weak, kept = without_images(block, few), ~few
+        weak, kept = block.of_images(~few), ~few
         # Of the images that stay: what is not as long as the block counts as not known.
         foreign = replace(
             foreign,
@@ -230,10 +230,7 @@ def _without_parallax(block: Block) -> tuple[Block, int]:
     values[points[bare]] = frame.to_given(local[bare])
     keep = np.ones(len(values), dtype=np.bool_)
     keep[flat] = False
-    seen = seen.rows(keep[seen.point])
-    seen = replace(seen, point=(np.cumsum(keep) - 1)[seen.point])
-    left = replace(block.points, values=values).only(keep)
-    return replace(block, points=left, observations=seen), len(flat)
+    return replace(block, points=replace(block.points, values=values)).of_points(keep), len(flat)
 
 
 def _parallax_px(views: OrientedImages, tracks: Tracks) -> Floats:

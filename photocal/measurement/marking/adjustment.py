@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photocal.base.arrays import Flags
 from photocal.base.errors import IllPosedError
 from photocal.block.model import Block, Images, ObjectPoints
 from photocal.exchange.parts import Mark
@@ -140,15 +139,4 @@ def block_of_marks(
             "no image has enough marks for an adjustment" + (f": {left_out[0]}" if left_out else ""),
             "mark control points in more images",
         )
-    return _only(whole, usable, held, ray), left_out
-
-
-def _only(block: Block, image: Flags, point: Flags, ray: Flags) -> Block:
-    """Keep some images, points and rays of a block."""
-    i, j, seen = np.cumsum(image) - 1, np.cumsum(point) - 1, block.observations.rows(ray)
-    return replace(
-        block,
-        images=block.images.some(np.flatnonzero(image)),
-        points=block.points.only(point),
-        observations=replace(seen, image=i[seen.image], point=j[seen.point]),
-    )
+    return replace(whole, observations=seen.rows(ray)).of_images(usable).of_points(held), left_out
