@@ -16,7 +16,7 @@ from photocal.exchange.parts import Mark
 from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.frames import code_of, level_of, system_of, utm_zones
 from photocal.geometry.systems import MapSystem, at_place, called, heights_at, is_meant, missing_grids
-from photocal.measurement.control_review import alone, heights_apart, listed, stray_points, twins
+from photocal.measurement.control_review import alone, heights_apart, listed, stray_points, stray_text, twins
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.mark_frames import (
     AS_STORED,
@@ -118,9 +118,8 @@ def settle(
     if made.points.names:
         _with_place(made, given, placed)
         strays = stray_points(made.points, made.crs)
-        made.doubtful += [stray.said(say) for stray in strays]
-        gone = {stray.row for stray in strays}
-        here = made.points.only(np.array([k for k in range(len(made.points.names)) if k not in gone], int))
+        made.doubtful += [stray_text(stray, say) for stray in strays.values()]
+        here = made.points.only(~np.isin(np.arange(len(made.points.names)), list(strays)))
         told_of = (*twins(here, say), *heights_apart(here, say), *alone(made.marks, made.points, say))
         made.doubtful += [say("new.control_known", text=line) for line in told_of]
         if not matters and made.fixing < policy.fewest_control:
