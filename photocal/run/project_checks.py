@@ -26,8 +26,7 @@ from photocal.measurement.image_file import list_images
 from photocal.measurement.marks import read_marks
 from photocal.measurement.picture_block import better_known, control_points, pictures_of_heads
 from photocal.measurement.position_files import map_places
-from photocal.measurement.tie_block import intersected, views_of
-from photocal.measurement.tracks import Tracks
+from photocal.measurement.tie_block import intersected, tracks_of, views_of
 from photocal.project import Project
 
 # How far control may lie from a base station, and from what pictures say of their place.
@@ -295,9 +294,7 @@ def check_rays(block: Block, control_file: Path | None, *, alike: bool = False) 
     frame = block_frame(block)
     rows = np.flatnonzero(~block.points.of_role("tie") & np.isfinite(block.points.values).all(axis=1))
     seen = block.observations
-    order = np.flatnonzero(np.isin(seen.point, rows))
-    order = order[np.argsort(seen.point[order], kind="stable")]
-    which, track = np.unique(seen.point[order], return_inverse=True)
+    which, tracks = tracks_of(seen, np.isin(seen.point, rows))
     if not len(rows):
         return
     wrong = ConfigurationError.at(control_file)
@@ -306,9 +303,8 @@ def check_rays(block: Block, control_file: Path | None, *, alike: bool = False) 
             f"none of the {len(rows)} surveyed points is measured in an image",
             f"are the names the same? The table has {block.points.names[rows[0]]}",
         )
-    tracks = Tracks(track, seen.image[order], seen.values[order], np.ones(len(order)))
     met = given_places(frame, intersected(views_of(block, frame), tracks))
-    good = np.isfinite(met).all(axis=1) & (np.bincount(track, minlength=len(which)) >= 2)
+    good = np.isfinite(met).all(axis=1) & (tracks.rays >= 2)
     if good.sum() < FEWEST:
         return
     met, survey, roles = met[good], block.points.values[which[good]], which[good]
