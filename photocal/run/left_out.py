@@ -11,7 +11,7 @@ from tomlkit.items import AoT
 from photocal.base.arrays import Flags
 from photocal.base.codec import toml_document
 from photocal.base.errors import ConfigurationError
-from photocal.base.files import output_file
+from photocal.base.files import write_file
 from photocal.block.model import ROLES, Block
 from photocal.findings.finding import Finding
 from photocal.project import LeaveOutKeys
@@ -83,7 +83,7 @@ def leave_out(path: Path, entry: LeaveOutKeys) -> None:
     table = tomlkit.table()
     table.update(entry.model_dump(exclude_none=True))
     document[_SECTION].append(table)
-    _write(path, document)
+    write_file(path, tomlkit.dumps(document))
 
 
 def take_back(path: Path, entry: LeaveOutKeys) -> None:
@@ -96,7 +96,7 @@ def take_back(path: Path, entry: LeaveOutKeys) -> None:
         raise ConfigurationError(
             "is not in the list of data left out by hand", "check [[leave_out]]", where=path
         )
-    _write(path, document)
+    write_file(path, tomlkit.dumps(document))
 
 
 def _take_back(document: tomlkit.TOMLDocument, entry: LeaveOutKeys) -> bool:
@@ -110,8 +110,3 @@ def _take_back(document: tomlkit.TOMLDocument, entry: LeaveOutKeys) -> bool:
     if not listed:
         document.remove(_SECTION)
     return bool(same)
-
-
-def _write(path: Path, document: tomlkit.TOMLDocument) -> None:
-    with output_file(path) as aside:
-        aside.write_text(tomlkit.dumps(document), encoding="utf-8")

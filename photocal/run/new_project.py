@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from photocal.base.errors import InputNotFoundError, OutputError, PhotocalError
-from photocal.base.files import output_file, rows_text
+from photocal.base.files import rows_text, write_file
 from photocal.base.policy import policy
 from photocal.block.model import ROLES, ObjectPoints
 from photocal.block.network import OTHER_SURFACE_M
@@ -96,8 +96,7 @@ def new_project(
         remedy = f"photocal new {folder} --again keeps your entries and adds new findings"
         raise OutputError("exists already", remedy, where=folder / there[0])
     for name, content in files.items():
-        with output_file(folder / name) as aside:
-            aside.write_text(content, encoding="utf-8", newline="\n")
+        write_file(folder / name, content)
     made.path, made.changes = folder / NAME, changes
     return made
 
