@@ -41,6 +41,9 @@ from photocal.geometry.conversion import Conversion, unbalanced
 _CONTROL_FIELDS = ("id", "label", "dummy", "x", "y", "z", "sx", "sy", "sz", "sxy", "sxyz")
 _IMAGE_FIELDS = ("id", "path", "dummy", "ignored")
 _MARK_FIELDS = ("id", "im", "ignored", "dummy", "x", "y", "sx", "sy", "sxy")
+# Tables that the input section of a set-up names: their files, each with its element.
+_SECTIONS = ("ctrl_pts", "check_pts", "images", "image_pts")
+Tables = dict[str, list[tuple[Path, Element]]]
 _UNITS = {"mm": 1.0, "m": 1e3, "um": 1e-3}
 _GROUPS = {
     "cc": ("cc",),
@@ -83,7 +86,13 @@ def read_dbat(path: Path) -> Block:
             'put the tables beside the set-up and write base_dir="$HERE"',
             where=path,
         )
-    reader = _Tables(path, given)
+    tables: Tables = {
+        section: [
+            (beside(path.parent, (element.text or "").strip(), path), element)
+            for element in given.iterfind(f"{section}/file")
+        ]
+        for section in _SECTIONS
+    }
     cameras = _used_cameras(root, given, path)
     if len(cameras) > 1:
         raise InputMalformedError(
@@ -91,15 +100,22 @@ def read_dbat(path: Path) -> Block:
             "split it: the file does not state which image has which camera",
             where=path,
         )
-    surveyed = [*reader.points("ctrl_pts", "control"), *reader.points("check_pts", "check")]
-    image_of = {row.name("id"): row.cells.get("path", "") for row in reader.rows("images", _IMAGE_FIELDS)}
+    roles: tuple[tuple[str, Role], ...] = (("ctrl_pts", "control"), ("check_pts", "check"))
+    surveyed = [point for section, role in roles for point in _points(tables, section, role, given, path)]
+    image_of = {row.name("id"): row.cells.get("path", "") for row in _rows(tables, "images", _IMAGE_FIELDS)}
     # File names of the images by their number; the numbers where file names repeat.
     short = {key: PurePosixPath(path.replace("\\", "/")).name or key for key, path in image_of.items()}
     names = short if len(set(short.values())) == len(short) else {key: key for key in image_of}
-    marks = [_mark(row, names, sigma) for row, sigma in reader.marks()]
+    marks = []
+    for file, element in tables["image_pts"]:
+        common = element.get("sxy")
+        sigma = None if common is None else number(common, path, "sxy")
+        listed = read_rows(file, element.get("format", ""), _MARK_FIELDS)
+        marks += [_mark(row, names, sigma) for row in listed]
+    files = dict.fromkeys(file for section in tables.values() for file, _ in section)
     title = (root.findtext("meta/name") or path.stem).strip()
     shots = Images(tuple(names.values()), np.zeros(len(names), dtype=np.int64))
-    return parts.block_of_marks(title, cameras, shots, surveyed, marks, [path, *reader.read])
+    return parts.block_of_marks(title, cameras, shots, surveyed, marks, [path, *files])
 
 
 def read_dbat_cameras(path: Path) -> tuple[Camera, ...]:
@@ -111,41 +127,21 @@ def read_dbat_cameras(path: Path) -> tuple[Camera, ...]:
     return tuple(_camera(element, path, f"camera{k}", loaded=True) for k, element in given)
 
 
-class _Tables:
-    """The tables that the input section names; remembers what was read."""
+def _rows(tables: Tables, section: str, allowed: tuple[str, ...]) -> Iterator[DbatRow]:
+    """Give the rows of all tables of a section."""
+    for path, element in tables[section]:
+        yield from read_rows(path, element.get("format", ""), allowed)
 
-    def __init__(self, path: Path, given: Element) -> None:
-        self.path, self.given = path, given
-        self.read: list[Path] = []
 
-    def files(self, section: str) -> Iterator[tuple[Path, Element]]:
-        """Give the tables of a section of the set-up, each with its element."""
-        for element in self.given.iterfind(f"{section}/file"):
-            file = beside(self.path.parent, (element.text or "").strip(), self.path)
-            if file not in self.read:
-                self.read.append(file)
-            yield file, element
-
-    def rows(self, section: str, allowed: tuple[str, ...]) -> Iterator[DbatRow]:
-        """Give the rows of all tables of a section."""
-        for path, element in self.files(section):
-            yield from read_rows(path, element.get("format", ""), allowed)
-
-    def points(self, section: str, role: Role) -> Iterator[parts.PointEntry]:
-        """Give the points of a section in a role, as its filters choose them."""
-        rules = [_rule(element, self.path) for element in self.given.iterfind(f"{section}/filter")]
-        for row in self.rows(section, _CONTROL_FIELDS):
-            name = row.name("id")
-            if all((name in names) is keep for names, keep in rules):
-                yield parts.PointEntry(name, role, [row.value(axis) for axis in "xyz"], row.sigma())
-
-    def marks(self) -> Iterator[tuple[DbatRow, float | None]]:
-        """Give the image observations with their standard deviations."""
-        for path, element in self.files("image_pts"):
-            common = element.get("sxy")
-            sigma = None if common is None else number(common, self.path, "sxy")
-            for row in read_rows(path, element.get("format", ""), _MARK_FIELDS):
-                yield row, sigma
+def _points(
+    tables: Tables, section: str, role: Role, given: Element, path: Path
+) -> Iterator[parts.PointEntry]:
+    """Give the points of a section in a role, as its filters choose them."""
+    rules = [_rule(element, path) for element in given.iterfind(f"{section}/filter")]
+    for row in _rows(tables, section, _CONTROL_FIELDS):
+        name = row.name("id")
+        if all((name in names) is keep for names, keep in rules):
+            yield parts.PointEntry(name, role, [row.value(axis) for axis in "xyz"], row.sigma())
 
 
 def _rule(element: Element, path: Path) -> tuple[set[str], bool]:
