@@ -7,6 +7,7 @@ Features of a set of images, matched and joined to tracks.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -268,12 +269,11 @@ def _match_one(task: tuple[str, str, MatchingPlan]) -> Integers:
     first, second, plan = task
     key = combined_key(MATCHES, "match", first, second, plan.matches)
 
-    def make() -> Arrays:
-        """Match the features of two pictures."""
-        pairs = match(_features(plan, first, whole=True), _features(plan, second, whole=True), plan.matches)
-        return {"pairs": pairs}
-
-    return np.asarray(cached(plan.cache, key, ("pairs",), make)["pairs"], dtype=np.int64)
+    whole = partial(_features, plan, whole=True)
+    made = cached(
+        plan.cache, key, ("pairs",), lambda: {"pairs": match(whole(first), whole(second), plan.matches)}
+    )["pairs"]
+    return np.asarray(made, dtype=np.int64)
 
 
 def _features(plan: MatchingPlan, key: str, *, whole: bool = False) -> Features:

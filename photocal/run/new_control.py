@@ -246,21 +246,17 @@ def _frame(made: NewProject, choice: FrameChoice, *, useful: bool) -> MarkFrame:
     if choice.sure and choice.chosen == AS_STORED:
         return AS_STORED
     say = made.say
+    agree = {"n": choice.pairs, "percent": say.fixed(100 * best.miss, 1)} if choice.pairs else None
+    fits = say("new.marks_inside") if agree is None else say("new.marks_agree", **agree)
+    frame = choice.chosen.said(say)
     if choice.fractions:
-        fits = say("new.marks_inside")
-        if choice.pairs:
-            fits = say("new.marks_agree", n=choice.pairs, percent=say.fixed(100 * best.miss, 1))
-        made.known.append(say("new.marks_fractions", frame=choice.chosen.said(say), fits=fits))
+        made.known.append(say("new.marks_fractions", frame=frame, fits=fits))
         return choice.chosen
     as_stored = say("new.marks_outside", n=own.outside) if own.outside else say("new.marks_unfit")
     if not np.isnan(own.miss):
         percent = say.fixed(100 * own.miss, 1)
         as_stored = say("new.marks_differ", text=as_stored, n=choice.pairs, percent=percent)
     if choice.sure:
-        fits = say("new.marks_inside")
-        if choice.pairs:
-            fits = say("new.marks_agree", n=choice.pairs, percent=say.fixed(100 * best.miss, 1))
-        frame = choice.chosen.said(say)
         made.known.append(say("new.marks_converted", frame=frame, fits=fits, as_stored=as_stored))
         return choice.chosen
     if own.outside and not useful:
