@@ -167,19 +167,6 @@ _HUBER, ELSEWHERE = 1.5, 4.0
 
 
 @dataclass(frozen=True)
-class LaserShots:
-    """Laser distances of oriented pictures, in a frame whose third axis is up.
-
-    station (n, 3): projection centres; direction (n, 3): where the cameras look, unit vectors.
-    distance_m (n,): measured.
-    """
-
-    station: Floats
-    direction: Floats
-    distance_m: Floats
-
-
-@dataclass(frozen=True)
 class LaserCheck:
     """What laser distances say of an adjusted surface.
 
@@ -205,14 +192,16 @@ class LaserCheck:
         return abs(self.bias_m) > policy.times_999 * self.sigma_m
 
 
-def check_laser(shots: LaserShots, points: Floats, c_share: float = 0.0) -> LaserCheck | None:
+def check_laser(
+    target: Floats, distance_m: Floats, points: Floats, c_share: float = 0.0
+) -> LaserCheck | None:
     """Hold laser targets against the surface of tie points (m, 3) there; None with too few of them.
 
+    target (n, 3), distance_m (n,): what each laser hit, in a frame whose third axis is up, and how far away.
     c_share: standard deviation of the principal distance over it: distances to the ground go with it.
     """
-    known = np.isfinite(shots.distance_m) & np.isfinite(shots.station + shots.direction).all(axis=1)
-    target = shots.station[known] + shots.distance_m[known, None] * shots.direction[known]
-    distance, ties = shots.distance_m[known], points[np.isfinite(points).all(axis=1)]
+    known = np.isfinite(target).all(axis=1)
+    target, distance, ties = target[known], distance_m[known], points[np.isfinite(points).all(axis=1)]
     if len(target) < FEWEST_SHOTS or len(ties) < NEIGHBOURS:
         return None
     height, rough, dense = _surface(target[:, :2], ties, DENSE * distance)

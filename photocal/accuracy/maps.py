@@ -112,8 +112,6 @@ def residual_map(discrepancies: Discrepancies) -> Figure | None:
     returns: matplotlib.figure.Figure or None. None without positions or without planimetric discrepancies.
         North is up, both axes have one scale, the vectors another one that is drawn beside the map.
     """
-    from matplotlib.figure import Figure
-
     if discrepancies.positions_m is None:
         return None
     table = np.column_stack((discrepancies.positions_m[:, :2], discrepancies.d_m))
@@ -121,18 +119,28 @@ def residual_map(discrepancies: Discrepancies) -> Figure | None:
     if not known.any():
         return None
     names = tuple(name for name, has in zip(discrepancies.points, known.tolist(), strict=True) if has)
-    figure = Figure(figsize=_MAP_INCHES)
-    axes = figure.add_axes((0.12, 0.08, 0.85, 0.84))
+    figure, axes = _figure(_MAP_INCHES, (0.12, 0.08, 0.85, 0.84), "E (m)", "N (m)")
     enlarge = draw_vectors(axes, names, table[known], "{:+.2f}".format, "{:g} m".format, _INK)
     axes.ticklabel_format(style="plain", useOffset=False)
-    axes.set_xlabel("E (m)")
-    axes.set_ylabel("N (m)")
     numbers = ", numbers: dh (m)" if np.isfinite(table[known][:, 4]).any() else ""
     axes.set_title(
         f"Discrepancies, {SIGN}\nvectors {enlarge:.3g} times enlarged{numbers}", fontsize=9, loc="left"
     )
-    axes.tick_params(labelsize=7)
     return figure
+
+
+def _figure(
+    inches: tuple[float, float], place: tuple[float, float, float, float], across: str, up: str
+) -> tuple[Figure, Axes]:
+    """Begin a figure with one pair of axes, whose labels have their units."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=inches)
+    axes = figure.add_axes(place)
+    axes.set_xlabel(across)
+    axes.set_ylabel(up)
+    axes.tick_params(labelsize=7)
+    return figure, axes
 
 
 def histograms(discrepancies: Discrepancies) -> Figure:
@@ -160,21 +168,17 @@ def heights_by_point(discrepancies: Discrepancies) -> Figure | None:
 
     None without heights, and for more points than can be named.
     """
-    from matplotlib.figure import Figure
-
     names, values = discrepancies.component("h")
     if not 0 < len(values) <= _NAMED:
         return None
-    figure = Figure(figsize=(max(4.0, 0.22 * len(values) + 1.2), 3.0))
-    axes = figure.add_axes((0.13, 0.2, 0.85, 0.69))
+    inches = (max(4.0, 0.22 * len(values) + 1.2), 3.0)
+    figure, axes = _figure(inches, (0.13, 0.2, 0.85, 0.69), "", "dh (m)")
     axes.bar(np.arange(len(values)), values, color="#9db8d9", edgecolor=_INK, linewidth=0.5)
     axes.axhline(0.0, color=_INK, linewidth=0.6)
     axes.axhline(float(values.mean()), color=_INK, linewidth=1.0, linestyle=(0, (4, 3)))
     axes.set_xticks(np.arange(len(values)), names, rotation=90, fontsize=6)
-    axes.set_ylabel("dh (m)")
     higher = f"{int(np.sum(values > 0.0))} of {len(values)} higher, mean {values.mean():+.3f} m"
     axes.set_title(f"Heights, {SIGN}: {higher}", fontsize=8, loc="left")
-    axes.tick_params(axis="y", labelsize=7)
     return figure
 
 
@@ -183,14 +187,11 @@ def gsd_circles(discrepancies: Discrepancies, gsd_m: float | None) -> Figure | N
 
     As figure 4 of Alves Junior et al. 2015; None without a ground sampling distance or such discrepancies.
     """
-    from matplotlib.figure import Figure
-
     names, plane = discrepancies.planimetric()
     if gsd_m is None or not names:
         return None
     length, angle = np.hypot(*plane.T), np.linspace(0.0, 2.0 * math.pi, 181)
-    figure = Figure(figsize=(4.5, 4.5))
-    axes = figure.add_axes((0.16, 0.11, 0.81, 0.83))
+    figure, axes = _figure((4.5, 4.5), (0.16, 0.11, 0.81, 0.83), "dE (m)", "dN (m)")
     axes.plot(plane[:, 0], plane[:, 1], "+", color=_INK)
     for k, (count, colour) in enumerate(
         zip(within_gsd(length, gsd_m), ("#1f4e9c", "#b3261e"), strict=True), 1
@@ -201,10 +202,7 @@ def gsd_circles(discrepancies: Discrepancies, gsd_m: float | None) -> Figure | N
         )
     axes.set_aspect("equal", adjustable="datalim")
     axes.legend(fontsize=7, loc="upper right")
-    axes.set_xlabel("dE (m)")
-    axes.set_ylabel("dN (m)")
     axes.set_title(f"Discrepancies, {SIGN}", fontsize=9, loc="left")
-    axes.tick_params(labelsize=7)
     return figure
 
 

@@ -132,6 +132,12 @@ def write_json(path: Path, content: Any, indent: int | None = 1) -> None:
         path.write_text(f"{text}\n", encoding="utf-8", newline="\n")
 
 
+def write_file(path: Path, content: str | bytes) -> None:
+    """Write a file that is there whole or not at all; errors as of `output_file`."""
+    with output_file(path) as aside:
+        aside.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
 @contextmanager
 def _of(path: Path) -> Iterator[None]:
     """Give a refusal the name of the file: those of a full disk have none."""

@@ -294,6 +294,44 @@ class Block:
         """Write a block folder that is equal when it is read; errors as of `block.writer.write_block`."""
         import_module(_WRITER).write_block(Path(path), self)
 
+    def of_points(self, kept: Flags) -> "Block":
+        """Keep some points, with what is measured of them and between them."""
+        place, seen = np.cumsum(kept) - 1, self.observations.rows(kept[self.observations.point])
+        relations, checks = (
+            part.moved(place).rows(np.append(kept, True)[part.ends].all(axis=1)) if len(part.kind) else part
+            for part in (self.relations, self.check_distances)
+        )
+        points = self.points.only(kept)
+        return replace(
+            self,
+            points=points,
+            observations=replace(seen, point=place[seen.point]),
+            relations=relations,
+            check_distances=checks,
+            lasers=self.lasers.of_points(place, kept),
+            datum_points=tuple(name for name in self.datum_points if name in set(points.names)),
+        )
+
+    def of_images(self, kept: Flags) -> "Block":
+        """Keep some images with all that was observed at their exposures, and the cameras that took them.
+
+        Points stay; strips of positions are numbered anew.
+        """
+        place, seen = np.cumsum(kept) - 1, self.observations.rows(kept[self.observations.image])
+        cameras, camera = np.unique(self.images.camera[kept], return_inverse=True)
+        positions = self.positions.rows(kept[self.positions.image])
+        attitudes = self.attitudes.rows(kept[self.attitudes.image])
+        strip = np.unique(positions.strip, return_inverse=True)[1].astype(np.int64)
+        return replace(
+            self,
+            cameras=tuple(self.cameras[k] for k in cameras),
+            images=replace(self.images.some(np.flatnonzero(kept)), camera=camera.astype(np.int64)),
+            observations=replace(seen, image=place[seen.image]),
+            positions=replace(positions, image=place[positions.image], strip=strip),
+            attitudes=replace(attitudes, image=place[attitudes.image]),
+            lasers=self.lasers.of_images(place, kept),
+        )
+
     def __repr__(self) -> str:
         """Say in one line what it holds."""
         roles = ", ".join(f"{int(self.points.of_role(role).sum())} {role}" for role in ROLES)

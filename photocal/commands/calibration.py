@@ -185,7 +185,7 @@ def forms(
     """
     import datetime as dt
 
-    from photocal.base.files import output_file
+    from photocal.base.files import write_file
     from photocal.findings.document import pdf
     from photocal.findings.texts import catalogue, spoken
     from photocal.report.ministry_rows import field_forms, planned_places
@@ -195,8 +195,7 @@ def forms(
     say = catalogue(spoken(language))
     document = field_forms(names, places, say, stations)
     content = pdf(document, dt.datetime.now().astimezone().date())
-    with output_file(output) as aside:
-        aside.write_bytes(content)
+    write_file(output, content)
     titles = [section.title for section in document.sections]
     answer(
         as_json,

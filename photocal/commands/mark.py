@@ -125,7 +125,7 @@ def targets(
 
     Example: `photocal targets apriltag_36h11 --numbers 1-20 --size-mm 160 -o targets.pdf`
     """
-    from photocal.base.files import output_file
+    from photocal.base.files import write_file
     from photocal.measurement.markers import DICTIONARIES, parse_board
     from photocal.measurement.target_shapes import board_target, coded_target, plain_target, sheets_pdf
 
@@ -139,8 +139,7 @@ def targets(
     else:
         sheets = [plain_target(kind, size_mm)]
     content = sheets_pdf(sheets, paper)
-    with output_file(output) as aside:
-        aside.write_bytes(content)
+    write_file(output, content)
     titles = [sheet.title for sheet in sheets]
     answer(
         as_json,

@@ -174,12 +174,11 @@ def radiometry(
 
     Example: `photocal radiometry --edge edge.tif --star star.tif --place 2100,1480,600 --gsd-cm 1.5`
     """
-    from photocal.base.files import output_file
+    from photocal.base.files import write_file
     from photocal.measurement.radiometry import measure_radiometry
 
     figures = measure_radiometry(options)
     lines = [f"{name} = {value}" for name, value in figures.items()]
     if output is not None:
-        with output_file(output) as aside:
-            aside.write_text("\n".join(["[radiometry]", *lines, ""]), encoding="utf-8")
+        write_file(output, "\n".join(["[radiometry]", *lines, ""]))
     answer(as_json, lambda: figures, lambda: "\n".join(lines))

@@ -14,7 +14,7 @@ from photocal.base.files import output_file, write_json
 from photocal.base.operating_system import cache_folder
 from photocal.debrief import verdict
 from photocal.debrief.pictures import QUICK, PictureQuality, look, picture_findings
-from photocal.debrief.verdict import CombinedCheck, Debrief
+from photocal.debrief.verdict import Debrief, Together
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import Camera
 from photocal.measurement.image_file import list_images
@@ -95,8 +95,9 @@ def follow(
         plan, folder = MatchingPlan(cache_folder(), 1, QUICK), _Folder(project.picture_folder)
         looks, lag_s, oriented, not_before = dict[Path, PictureQuality](), 0.0, 0, 0.0
         pending = dict[Future[PictureQuality], tuple[Path, float]]()
-        judging: Future[tuple[CombinedCheck, ExposureRun | None, float]] | None = None
-        together, run = CombinedCheck(), None
+        judging: Future[tuple[Together, ExposureRun | None, float]] | None = None
+        together: Together = ((), None, None)
+        run: ExposureRun | None = None
         made, changed = _so_far({}, run, together, 0), True
         while True:
             for path, since in folder.at_rest():
@@ -163,7 +164,7 @@ class _StoppedError(Exception):
 
 def _together(
     looks: Sequence[PictureQuality], last: Sequence[Camera], plan: MatchingPlan, stop: threading.Event
-) -> tuple[CombinedCheck, ExposureRun | None, float]:
+) -> tuple[Together, ExposureRun | None, float]:
     """What pictures say together, their exposures, and how long that took, s."""
 
     @contextmanager
@@ -188,10 +189,10 @@ def _together(
 
 
 def _so_far(
-    looks: dict[Path, PictureQuality], run: ExposureRun | None, together: CombinedCheck, waiting: int
+    looks: dict[Path, PictureQuality], run: ExposureRun | None, together: Together, waiting: int
 ) -> Debrief:
     ordered = _ordered(looks)
-    findings = verdict.in_order([*picture_findings(ordered), *together.findings])
+    findings = verdict.in_order([*picture_findings(ordered), *together[0]])
     figures = {
         "n": float(len(looks)),
         "waiting": float(waiting),
@@ -199,4 +200,4 @@ def _so_far(
         "look": float(sum(finding.severity in verdict.LOOK for finding in findings)),
     }
     so_far = Finding("flight-so-far", "note", figures=figures)
-    return Debrief(so_far, tuple(findings), tuple(ordered), run, together)
+    return Debrief(so_far, tuple(findings), tuple(ordered), run, *together[1:])

@@ -138,13 +138,8 @@ AGAIN, LOOK = ("refused", "grave"), ("doubtful", "consequence")
 _ORDER = (*AGAIN, *LOOK, "note", "passed", "untested")
 
 
-@dataclass(frozen=True)
-class CombinedCheck:
-    """What pictures say together, where each alone says nothing."""
-
-    findings: tuple[Finding, ...] = ()
-    flown: Coverage | None = None
-    quick: Quick | None = None
+# What pictures say together, where each alone says nothing: findings, what they cover, how they are oriented.
+Together = tuple[Sequence[Finding], Coverage | None, Quick | None]
 
 
 @dataclass(frozen=True)
@@ -154,8 +149,9 @@ class Debrief:
     verdict: Finding
     findings: tuple[Finding, ...]
     looks: tuple[PictureQuality, ...]
-    exposures: ExposureRun | None
-    together: CombinedCheck
+    exposures: ExposureRun | None = None
+    flown: Coverage | None = None
+    quick: Quick | None = None
 
 
 def debrief(project: Project, processes: Workers, progress: Progress, last: Sequence[Camera] = ()) -> Debrief:
@@ -179,9 +175,9 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
             looks = list(run_tasks(pictures.look, ((path, plan) for path in paths), processes, done))
         if run is not None:
             findings += _exposure_findings(run, len(paths))
-        together = judged_together(looks, run, rig, last, plan, progress)
-        findings = in_order([*findings, *picture_findings(looks), *together.findings])
-        made = Debrief(_verdict(findings), tuple(findings), tuple(looks), run, together)
+        combined, flown, quick = judged_together(looks, run, rig, last, plan, progress)
+        findings = in_order([*findings, *picture_findings(looks), *combined])
+        made = Debrief(_verdict(findings), tuple(findings), tuple(looks), run, flown, quick)
         with output_file(project.output / FILE) as aside:
             write_json(aside, debrief_json(made))
         return made
@@ -199,7 +195,7 @@ def judged_together(
     last: Sequence[Camera],
     plan: MatchingPlan,
     progress: Progress,
-) -> CombinedCheck:
+) -> Together:
     """Orient good pictures quickly, hold their calibration against the last one, and see what they cover."""
     unusable = [one for one in picture_findings(looks) if one.code in pictures.UNUSABLE]
     bad = {name for finding in unusable for name in finding.figures["images"]}
@@ -213,7 +209,7 @@ def judged_together(
     if run is not None:
         flown, uncovered = _covered(run, rig, good, quick)
         findings = [*findings, *uncovered]
-    return CombinedCheck(tuple(findings), flown, quick)
+    return findings, flown, quick
 
 
 def _exposure_findings(run: ExposureRun, count: int) -> list[Finding]:
@@ -292,11 +288,11 @@ def debrief_json(made: Debrief) -> dict[str, Any]:
         "findings": [finding_json(finding, say) for finding in made.findings],
         "said": {language: _said(made, catalogue(language)) for language in LANGUAGES},
         "pictures": [{"image": look.path.name, **picked(look, *pictures.MEASURED)} for look in made.looks],
-        "exposures": [] if made.exposures is None else _exposures(made.exposures, made.together.flown),
+        "exposures": [] if made.exposures is None else _exposures(made.exposures, made.flown),
         "coverage": None,
         "quick": None,
     }
-    flown, quick = made.together.flown, made.together.quick
+    flown, quick = made.flown, made.quick
     if flown is not None:
         overlap = _overlap(flown)
         content["coverage"] = {
@@ -345,7 +341,7 @@ def debrief_text(made: Debrief, say: Catalogue) -> str:
 
 def _measured(made: Debrief) -> list[tuple[str, dict[str, Any]]]:
     """What was measured: keys of texts with their figures, of pictures, overlap and c of each camera."""
-    quick, flown = made.together.quick, made.together.flown
+    quick, flown = made.quick, made.flown
     readable = sum(look.facts is not None for look in made.looks)
     told: list[tuple[str, dict[str, Any]]] = [("debrief.pictures", {"n": readable, "all": len(made.looks)})]
     if quick is not None:

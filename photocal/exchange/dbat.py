@@ -5,8 +5,7 @@ than ours); interior orientation in mm, signs and lens models as in `dbat_camera
 project's unit, taken as m. A control coordinate without sigma is held. Exterior orientations are left open.
 """
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Collection, Iterator
 from pathlib import Path, PurePosixPath
 from xml.etree.ElementTree import Element, SubElement
 
@@ -19,7 +18,6 @@ from photocal.exchange import parts
 from photocal.exchange.dbat_camera import (
     NAMES,
     OURS,
-    DbatCamera,
     DbatRow,
     from_dbat,
     read_rows,
@@ -43,6 +41,9 @@ from photocal.geometry.conversion import Conversion, unbalanced
 _CONTROL_FIELDS = ("id", "label", "dummy", "x", "y", "z", "sx", "sy", "sz", "sxy", "sxyz")
 _IMAGE_FIELDS = ("id", "path", "dummy", "ignored")
 _MARK_FIELDS = ("id", "im", "ignored", "dummy", "x", "y", "sx", "sy", "sxy")
+# Tables that the input section of a set-up names: their files, each with its element.
+_SECTIONS = ("ctrl_pts", "check_pts", "images", "image_pts")
+Tables = dict[str, list[tuple[Path, Element]]]
 _UNITS = {"mm": 1.0, "m": 1e3, "um": 1e-3}
 _GROUPS = {
     "cc": ("cc",),
@@ -64,7 +65,7 @@ def read(path: Path) -> ForeignProject:
     cameras: dict[str, Camera] = {}
     for file in sorted(path.parent.glob("result*/*.xml")):
         try:
-            cameras |= {given.name: from_dbat(given, given.name, file) for given in read_dbat_cameras(file)}
+            cameras |= {given.id: given for given in read_dbat_cameras(file)}
         except PhotocalError:
             continue
     known = tuple(camera for name, camera in cameras.items() if name in names)
@@ -85,71 +86,62 @@ def read_dbat(path: Path) -> Block:
             'put the tables beside the set-up and write base_dir="$HERE"',
             where=path,
         )
-    reader = _Tables(path, given)
-    cameras = [
-        from_dbat(camera, camera.name or f"camera{k}", path)
-        for k, camera in enumerate(_used_cameras(root, given, path), start=1)
-    ]
+    tables: Tables = {
+        section: [
+            (beside(path.parent, (element.text or "").strip(), path), element)
+            for element in given.iterfind(f"{section}/file")
+        ]
+        for section in _SECTIONS
+    }
+    cameras = _used_cameras(root, given, path)
     if len(cameras) > 1:
         raise InputMalformedError(
             "has several cameras",
             "split it: the file does not state which image has which camera",
             where=path,
         )
-    surveyed = [*reader.points("ctrl_pts", "control"), *reader.points("check_pts", "check")]
-    image_of = {row.name("id"): row.cells.get("path", "") for row in reader.rows("images", _IMAGE_FIELDS)}
+    roles: tuple[tuple[str, Role], ...] = (("ctrl_pts", "control"), ("check_pts", "check"))
+    surveyed = [point for section, role in roles for point in _points(tables, section, role, given, path)]
+    image_of = {row.name("id"): row.cells.get("path", "") for row in _rows(tables, "images", _IMAGE_FIELDS)}
     # File names of the images by their number; the numbers where file names repeat.
     short = {key: PurePosixPath(path.replace("\\", "/")).name or key for key, path in image_of.items()}
     names = short if len(set(short.values())) == len(short) else {key: key for key in image_of}
-    marks = [_mark(row, names, sigma) for row, sigma in reader.marks()]
+    marks = []
+    for file, element in tables["image_pts"]:
+        common = element.get("sxy")
+        sigma = None if common is None else number(common, path, "sxy")
+        listed = read_rows(file, element.get("format", ""), _MARK_FIELDS)
+        marks += [_mark(row, names, sigma) for row in listed]
+    files = dict.fromkeys(file for section in tables.values() for file, _ in section)
     title = (root.findtext("meta/name") or path.stem).strip()
     shots = Images(tuple(names.values()), np.zeros(len(names), dtype=np.int64))
-    return parts.block_of_marks(title, cameras, shots, surveyed, marks, [path, *reader.read])
+    return parts.block_of_marks(title, cameras, shots, surveyed, marks, [path, *files])
 
 
-def read_dbat_cameras(path: Path) -> tuple[DbatCamera, ...]:
+def read_dbat_cameras(path: Path) -> tuple[Camera, ...]:
     """Read a DBAT camera file (dbat_camera_version 1)."""
     root = read_xml(path)
     if "dbat_camera_version" not in root.attrib:
         raise InputMalformedError("is not a DBAT camera file", where=path)
-    return tuple(_camera(element, path, loaded=True) for element in root.iterfind("cameras/camera"))
+    given = enumerate(root.iterfind("cameras/camera"), start=1)
+    return tuple(_camera(element, path, f"camera{k}", loaded=True) for k, element in given)
 
 
-class _Tables:
-    """The tables that the input section names; remembers what was read."""
+def _rows(tables: Tables, section: str, allowed: tuple[str, ...]) -> Iterator[DbatRow]:
+    """Give the rows of all tables of a section."""
+    for path, element in tables[section]:
+        yield from read_rows(path, element.get("format", ""), allowed)
 
-    def __init__(self, path: Path, given: Element) -> None:
-        self.path, self.given = path, given
-        self.read: list[Path] = []
 
-    def files(self, section: str) -> Iterator[tuple[Path, Element]]:
-        """Give the tables of a section of the set-up, each with its element."""
-        for element in self.given.iterfind(f"{section}/file"):
-            file = beside(self.path.parent, (element.text or "").strip(), self.path)
-            if file not in self.read:
-                self.read.append(file)
-            yield file, element
-
-    def rows(self, section: str, allowed: tuple[str, ...]) -> Iterator[DbatRow]:
-        """Give the rows of all tables of a section."""
-        for path, element in self.files(section):
-            yield from read_rows(path, element.get("format", ""), allowed)
-
-    def points(self, section: str, role: Role) -> Iterator[parts.PointEntry]:
-        """Give the points of a section in a role, as its filters choose them."""
-        rules = [_rule(element, self.path) for element in self.given.iterfind(f"{section}/filter")]
-        for row in self.rows(section, _CONTROL_FIELDS):
-            name = row.name("id")
-            if all((name in names) is keep for names, keep in rules):
-                yield parts.PointEntry(name, role, [row.value(axis) for axis in "xyz"], row.sigma())
-
-    def marks(self) -> Iterator[tuple[DbatRow, float | None]]:
-        """Give the image observations with their standard deviations."""
-        for path, element in self.files("image_pts"):
-            common = element.get("sxy")
-            sigma = None if common is None else number(common, self.path, "sxy")
-            for row in read_rows(path, element.get("format", ""), _MARK_FIELDS):
-                yield row, sigma
+def _points(
+    tables: Tables, section: str, role: Role, given: Element, path: Path
+) -> Iterator[parts.PointEntry]:
+    """Give the points of a section in a role, as its filters choose them."""
+    rules = [_rule(element, path) for element in given.iterfind(f"{section}/filter")]
+    for row in _rows(tables, section, _CONTROL_FIELDS):
+        name = row.name("id")
+        if all((name in names) is keep for names, keep in rules):
+            yield parts.PointEntry(name, role, [row.value(axis) for axis in "xyz"], row.sigma())
 
 
 def _rule(element: Element, path: Path) -> tuple[set[str], bool]:
@@ -169,13 +161,12 @@ def _mark(row: DbatRow, names: dict[str, str], common: float | None) -> parts.Ma
     return parts.Mark(names[image], row.name("id"), x, y, sigma, row.line.place)
 
 
-def _used_cameras(root: Element, given: Element, path: Path) -> Iterator[DbatCamera]:
+def _used_cameras(root: Element, given: Element, path: Path) -> list[Camera]:
     start = root.find("operations/operation/set_initial_values/io")
     loaded = start is not None and (start.findtext("all") or start.text or "").strip() == "loaded"
     switches = _estimated_interior(root, path)
-    for element in given.iterfind("cameras/camera"):
-        camera = _camera(element, path, loaded)
-        yield replace(camera, estimate=tuple(name for name in camera.estimate if name in switches))
+    elements = enumerate(given.iterfind("cameras/camera"), start=1)
+    return [_camera(element, path, f"camera{k}", switches, loaded=loaded) for k, element in elements]
 
 
 def _estimated_interior(root: Element, path: Path) -> set[str]:
@@ -203,8 +194,14 @@ def _truth(text: str, path: Path) -> bool:
     return text == "true"
 
 
-def _camera(element: Element, path: Path, loaded: bool) -> DbatCamera:
-    """Read `<camera>`; with `loaded`, its calibrated values, else nominal ones."""
+def _camera(
+    element: Element, path: Path, unnamed: str, switches: Collection[str] = NAMES, *, loaded: bool
+) -> Camera:
+    """Read `<camera>`; with `loaded`, its calibrated values, else nominal ones.
+
+    unnamed: what it is called where it has no name.
+    switches: parameters that may be estimated.
+    """
     unit = (element.findtext("unit") or "mm").strip()
     malformed = InputMalformedError.at(path)
     if unit not in _UNITS:
@@ -232,14 +229,10 @@ def _camera(element: Element, path: Path, loaded: bool) -> DbatCamera:
         values |= _calibrated(element, path, lists)
     estimate = ["cc", "px", "py", "as", "sk"]
     estimate += [f"{name}{k + 1}" for name in "KP" for k in range(counts[name])]
-    return DbatCamera(
-        (element.findtext("name") or element.findtext("id") or "").strip(),
-        int(_list(element, "model", path, 1, [1])[0]),
-        size_px,
-        pixel,
-        values,
-        tuple(estimate),
-    )
+    name = (element.findtext("name") or element.findtext("id") or "").strip() or unnamed
+    number_of_model = int(_list(element, "model", path, 1, [1])[0])
+    free = tuple(term for term in estimate if term in switches)
+    return from_dbat(name, number_of_model, size_px, pixel, values, free, path)
 
 
 def _calibrated(element: Element, path: Path, lists: dict[str, list[float]]) -> dict[str, float]:

@@ -91,37 +91,31 @@ def read_rows(path: Path, layout: str, allowed: tuple[str, ...]) -> Iterator[Dba
         yield DbatRow(line, row)
 
 
-@dataclass(frozen=True)
-class DbatCamera:
-    """A camera as DBAT describes it.
+def from_dbat(
+    name: str,
+    number: int,
+    size_px: tuple[int, int],
+    pixel_mm: float,
+    described: dict[str, float],
+    estimate: tuple[str, ...],
+    place: object,
+) -> Camera:
+    """Turn DBAT's description into a camera, whose polynomial DBAT evaluates at the measured coordinates.
 
-    lens_model: -1 or 1 to 5.
+    number: of the lens model, -1 or 1 to 5.
     pixel_mm: height of a pixel; its width is (1 + as) times this.
-    values: by `NAMES`, in mm.
+    described, estimate: by `NAMES`, in mm.
     """
-
-    name: str
-    lens_model: int
-    size_px: tuple[int, int]
-    pixel_mm: float
-    values: dict[str, float]
-    estimate: tuple[str, ...] = ()
-
-
-def from_dbat(described: DbatCamera, camera_id: str, place: object) -> Camera:
-    """Turn DBAT's description into a camera, whose polynomial DBAT evaluates at the measured coordinates."""
-    number = described.lens_model
     malformed = InputMalformedError.at(place)
     if number not in MODELS:
         raise malformed(f"lens model {number} is not known", "use -1 or 1 to 5")
-    value = dict.fromkeys(NAMES, 0.0) | described.values
-    estimate = described.estimate
+    value = dict.fromkeys(NAMES, 0.0) | described
     if number not in WITH_AFFINITY:
         if value["as"] or value["sk"]:
             raise malformed(
                 f"lens model {number} has no affinity, but aspect or skew is given", "use model 3, 4 or 5"
             )
-        estimate = tuple(name for name in estimate if name not in ("as", "sk"))
+        estimate = tuple(term for term in estimate if term not in ("as", "sk"))
     if number == 5:
         if value["sk"] or "sk" in estimate:
             raise malformed(
@@ -130,25 +124,18 @@ def from_dbat(described: DbatCamera, camera_id: str, place: object) -> Camera:
         value["px"] /= 1 + value["as"]
     if not value["cc"] > 0:
         raise malformed("the camera constant is not positive", "give cc")
-    width, height = np.array(described.size_px) * described.pixel_mm
+    width, height = np.array(size_px) * pixel_mm
     ours = {
         "c": value["cc"],
         "x0": value["px"] - width / 2,
         "y0": height / 2 - value["py"],
         "B1": value["as"],
         "B2": value["sk"],
-    } | {name: -value[name] for name in ("K1", "K2", "K3", "K4", "P1", "P2")}
+    } | {term: -value[term] for term in ("K1", "K2", "K3", "K4", "P1", "P2")}
     model, affinity = MODELS[number]
-    calibrated = camera(
-        camera_id,
-        model,
-        "mm",
-        described.size_px,
-        (described.pixel_mm, described.pixel_mm),
-        ours,
-        estimate=tuple(OURS[NAMES.index(name)] for name in estimate),
-        affinity=affinity,
-    )
+    free = tuple(OURS[NAMES.index(term)] for term in estimate)
+    pitch = (pixel_mm, pixel_mm)
+    calibrated = camera(name, model, "mm", size_px, pitch, ours, estimate=free, affinity=affinity)
     return replace(calibrated, distortion_at="measured")
 
 

@@ -94,6 +94,4 @@ def without_weak_points(block: Block) -> tuple[Block, int]:
     """Leave out tie and check points with one ray; control may have one."""
     rays = np.bincount(block.observations.point, minlength=len(block.points.names))
     keep = (rays >= 2) | ((block.points.role == ROLES.index("control")) & (rays >= 1))
-    seen = block.observations.rows(keep[block.observations.point])
-    seen = replace(seen, point=(np.cumsum(keep) - 1)[seen.point])
-    return replace(block, points=block.points.only(keep), observations=seen), int((~keep).sum())
+    return block.of_points(keep), int((~keep).sum())

@@ -17,7 +17,7 @@ from photocal.base.errors import ConfigurationError, InputMalformedError, Photoc
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations, Role
 from photocal.exchange.source import fingerprint, read_text
 from photocal.geometry.camera import Camera
-from photocal.geometry.frames import UNSTATED, parsed, reference_frame
+from photocal.geometry.frames import UNSTATED, level_of, parsed, reference_frame, utm_zones
 from photocal.geometry.rotation import angles_from_matrix
 
 # Where a program states no standard deviations of image coordinates, they are weighted alike first.
@@ -285,16 +285,12 @@ def output_system(file: Path | None, places: Floats) -> tuple[str, str, list[str
 def utm_zone_of(lonlat: Floats, places: Floats) -> tuple[str, tuple[str, ...]]:
     """UTM zone in which places (n, 3) lie where others say in degrees; "local" where they do not."""
     from pyproj import Transformer
-    from pyproj.aoi import AreaOfInterest
-    from pyproj.database import query_utm_crs_info
 
     longitude, latitude = np.median(lonlat, axis=0).tolist()
     if abs(longitude) <= 180 and abs(latitude) <= 84:
-        here = AreaOfInterest(longitude, latitude, longitude, latitude)
         # Degrees of some digits and metres of one place differ by less, m.
         near_m = 5.0
-        for zone in query_utm_crs_info("WGS 84", here):
-            code = f"{zone.auth_name}:{zone.code}"
+        for code in utm_zones(latitude, longitude):
             way = Transformer.from_crs("EPSG:4326", code, always_xy=True)
             away = np.hypot(*(np.column_stack(way.transform(*lonlat.T)) - places[:, :2]).T)
             if np.nanmax(away) <= near_m:
@@ -304,8 +300,7 @@ def utm_zone_of(lonlat: Floats, places: Floats) -> tuple[str, tuple[str, ...]]:
 
 def _kinds(system: Any) -> list[tuple[str, str]]:
     """Names of a system with its heights, and of its plane alone."""
-    plane = system.sub_crs_list[0] if system.is_compound else system
-    names = [(_name(plane), UNSTATED)]
+    names = [(_name(level_of(system)), UNSTATED)]
     return [(_name(system), "orthometric"), *names] if system.is_compound else names
 
 

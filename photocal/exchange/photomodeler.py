@@ -31,19 +31,10 @@ _HEAD = "0.0005 20"
 _TERMS = ("K1", "K2", "K3", "P1", "P2", "B1")
 
 
-@dataclass(frozen=True)
-class Photo:
-    """One photo of an export.
-
-    name: file name without folders.
-    pose (6,): omega, phi, kappa in radians, X, Y, Z.
-    interior: principal distance, principal point, format (mm), K1, K2, K3, P1, P2.
-    """
-
-    number: int
-    name: str
-    pose: Floats
-    interior: tuple[float, ...]
+# Principal distance, principal point, format (mm), K1, K2, K3, P1, P2.
+Interior = tuple[float, ...]
+# A photo: file name without folders; omega, phi, kappa in radians, X, Y, Z, (6,); and its camera.
+Photo = tuple[str, Floats, Interior]
 
 
 @dataclass(frozen=True)
@@ -56,7 +47,7 @@ class Export:
 
     title: str
     size_px: tuple[int, int]
-    interior: tuple[float, ...]
+    interior: Interior
     photos: tuple[Photo, ...]
     control: dict[str, Floats]
     points: dict[str, Floats]
@@ -147,7 +138,7 @@ def _photo(cursor: _Cursor, expected: int) -> Photo:
     interior = cursor.values("interior orientation", 11)[1:]
     cursor.values("its standard deviations", 11)
     name = cells[1].strip().replace("\\", "/").rsplit("/", 1)[-1]
-    return Photo(expected, name, np.array([*np.radians(pose[:2:-1]), *pose[:3]]), tuple(interior))
+    return name, np.array([*np.radians(pose[:2:-1]), *pose[:3]]), tuple(interior)
 
 
 def _points(lines: list[Line]) -> list[tuple[str, Floats]]:
@@ -175,7 +166,7 @@ def _mark(line: Line, photos: list[Photo], shift: int) -> parts.Mark:
     default_sigma_px = 1.0
     sigma = (default_sigma_px, default_sigma_px) if smart else (sx, sy)
     name = str(int(point) + shift) if smart else str(int(point))
-    return parts.Mark(photos[int(photo)].name, name, *to_column_row(x, y), sigma, line.place)
+    return parts.Mark(photos[int(photo)][0], name, *to_column_row(x, y), sigma, line.place)
 
 
 def read_control(path: Path) -> dict[str, tuple[Floats, Floats]]:
@@ -195,7 +186,7 @@ def block_from_export(
     """Make a block from an export and a table of control points."""
     place = export.path
     shift = _shift(export, control, place)
-    names = [photo.name for photo in export.photos]
+    names, poses, own = zip(*export.photos, strict=True)
     parts.require_unique(names, "photo", place)
     observed = {mark.point for mark in export.marks}
     idle = [name for name in export.points if name not in observed and name not in control]
@@ -211,14 +202,20 @@ def block_from_export(
         for name, xyz in export.points.items()
         if name not in control
     ]
-    values = np.array([photo.pose for photo in export.photos])
+    values = np.array(poses)
     values[:, 3:] += shift
-    interiors = list(dict.fromkeys(photo.interior for photo in export.photos))
+    interiors = list(dict.fromkeys(own))
+    # The photos' c and principal point are printed to 1 um, their coefficients to five decimals; the head has
+    # the same values with more digits.
+    rounding = [0.51e-3] * 3 + [0.51e-5] * 7
+    alike = zip(interiors[0], export.interior, rounding, strict=True)
+    rounded = len(interiors) == 1 and all(abs(a - b) <= most for a, b, most in alike)
+    printed = [export.interior] if rounded else interiors
     cameras = tuple(
-        _camera(export, interior, f"camera{k}", place) for k, interior in enumerate(interiors, start=1)
+        _camera(export.size_px, interior, f"camera{k}", place) for k, interior in enumerate(printed, start=1)
     )
-    which = [interiors.index(photo.interior) for photo in export.photos]
-    shots = Images(tuple(names), np.array(which, dtype=np.int64), values)
+    which = [interiors.index(interior) for interior in own]
+    shots = Images(names, np.array(which, dtype=np.int64), values)
     return parts.block_of_marks(
         export.title or place.as_posix(), cameras, shots, points, export.marks, files or [place]
     )
@@ -257,21 +254,16 @@ def _shift(export: Export, control: dict[str, tuple[Floats, Floats]], place: Pat
     return np.asarray(np.mean([control[name][0] - export.control[name] for name in common], axis=0))
 
 
-def _camera(export: Export, interior: tuple[float, ...], name: str, place: Path) -> Camera:
-    # The photos' c and principal point are printed to 1 um, their coefficients to five decimals; the head has
-    # the same values with more digits.
-    rounding = [0.51e-3] * 3 + [0.51e-5] * 7
-    same = all(abs(a - b) <= most for a, b, most in zip(interior, export.interior, rounding, strict=True))
-    only = len({photo.interior for photo in export.photos}) == 1
-    c, px, py, width, height, k1, k2, k3, p1, p2 = export.interior if same and only else interior
+def _camera(size_px: tuple[int, int], interior: Interior, name: str, place: Path) -> Camera:
+    c, px, py, width, height, k1, k2, k3, p1, p2 = interior
     if not (c > 0 and width > 0 and height > 0):
         raise InputMalformedError("principal distance or format is not positive", where=place)
     calibrated = camera(
         name,
         "brown-observed",
         "mm",
-        export.size_px,
-        (width / export.size_px[0], height / export.size_px[1]),
+        size_px,
+        (width / size_px[0], height / size_px[1]),
         {"c": c, "x0": px - width / 2, "y0": height / 2 - py}
         | {"K1": -k1, "K2": -k2, "K3": -k3, "P1": -p1, "P2": -p2},
     )

@@ -210,12 +210,32 @@ def nearest_rotation(matrix: Floats) -> Floats:
     return np.asarray(left @ right)
 
 
+def level_of(system: Any) -> Any:
+    """Give a system without its heights."""
+    return system.sub_crs_list[0] if system.is_compound else system
+
+
+def code_of(system: Any) -> str:
+    """Give the code of a system in its register; empty where it has none."""
+    authority = system.to_authority()
+    return ":".join(authority) if authority else ""
+
+
+def utm_zones(latitude: float, longitude: float, datum: str = "WGS 84") -> list[str]:
+    """Give the codes of the UTM zones of a datum at a place, deg."""
+    from pyproj.aoi import AreaOfInterest
+    from pyproj.database import query_utm_crs_info
+
+    here = AreaOfInterest(longitude, latitude, longitude, latitude)
+    return [f"{zone.auth_name}:{zone.code}" for zone in query_utm_crs_info(datum, here)]
+
+
 def has_scale(crs: str | None) -> bool:
     """Whether a system is a map, which has a scale."""
     if crs is None or crs == "local":
         return False
     system = parsed(crs)
-    return bool((system.sub_crs_list[0] if system.is_compound else system).is_projected)
+    return bool(level_of(system).is_projected)
 
 
 @dataclass(frozen=True)
@@ -247,7 +267,7 @@ def ground_scale(crs: str, places: Floats) -> GroundScale:
     from pyproj import Proj
 
     system = parsed(crs)
-    horizontal = system.sub_crs_list[0] if system.is_compound else system
+    horizontal = level_of(system)
     if not has_scale(crs):
         raise ConfigurationError(
             f"{crs} is no map system: it has no scale",

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -12,7 +11,7 @@ from photocal.block.model import ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue
-from photocal.geometry.frames import system_of
+from photocal.geometry.frames import code_of, level_of, system_of
 
 # A point so far from the others, and so many times as far as they are from each other, is none of the site.
 FAR_M, FARTHER = 2_000.0, 20.0
@@ -23,39 +22,22 @@ FOOT_M = 0.3048
 ZONES = (-1, 1, -2, 2)
 
 
-@dataclass(frozen=True)
-class Stray:
-    """A surveyed point that is none of the site.
+def stray_text(stray: Finding, say: Catalogue) -> str:
+    """Say what `stray_points` has found, before anything is left out."""
+    km, zone = stray.figures["km"], stray.figures["zone"]
+    slip = (say(f"clause.{slip}", zone=zone) for slip in stray.clauses)
+    return "".join([say("new.control_far", name=stray.subject, km=f"{km:.0f}"), *slip])
 
-    row: of the point.
-    slip: what explains it, by its code; empty where nothing does.
-    zone: where that is another zone.
+
+def stray_points(points: ObjectPoints, crs: str) -> dict[int, Finding]:
+    """Find points far from where most of the others are, with the typing error that would explain it.
+
+    returns: by the row of the point.
     """
-
-    row: int
-    name: str
-    away_m: float
-    slip: str = ""
-    zone: str = ""
-
-    def said(self, say: Catalogue) -> str:
-        """Say it in a sentence."""
-        far = say("new.control_far", name=self.name, km=f"{self.away_m / 1000:.0f}")
-        return far + (say(f"clause.{self.slip}", zone=self.zone) if self.slip else "")
-
-    def finding(self) -> Finding:
-        """Give it as a finding."""
-        figures = {"km": self.away_m / 1000, "zone": self.zone}
-        clauses = (self.slip,) if self.slip else ()
-        return Finding("control-far", "doubtful", self.name, figures, clauses)
-
-
-def stray_points(points: ObjectPoints, crs: str) -> tuple[Stray, ...]:
-    """Points far from where most of the others are, with the typing error that would explain it."""
     places = points.values[:, :2]
     known = np.isfinite(places).all(axis=1) & ~points.of_role("tie")
     if known.sum() < 3:
-        return ()
+        return {}
     middle = np.median(places[known], axis=0)
     away = np.linalg.norm(places - middle, axis=1)
     usual = float(np.median(away[known]))
@@ -63,10 +45,14 @@ def stray_points(points: ObjectPoints, crs: str) -> tuple[Stray, ...]:
     far = np.flatnonzero(known & (away > limit))
     # Of two heaps of alike size neither is the site.
     if 2 * len(far) >= known.sum():
-        return ()
-    return tuple(
-        Stray(int(k), points.names[k], float(away[k]), *_slip(places[k], middle, limit, crs)) for k in far
-    )
+        return {}
+    found = {}
+    for k in far.tolist():
+        slip, zone = _slip(places[k], middle, limit, crs)
+        figures = {"km": float(away[k]) / 1000, "zone": zone}
+        clauses = (slip,) if slip else ()
+        found[k] = Finding("control-far", "doubtful", points.names[k], figures, clauses)
+    return found
 
 
 def _slip(place: Floats, middle: Floats, limit: float, crs: str) -> tuple[str, str]:
@@ -88,17 +74,16 @@ def _of_other_zones(place: Floats, crs: str) -> Iterator[tuple[str, Floats]]:
     from pyproj.exceptions import CRSError, ProjError
 
     try:
-        system = system_of(crs)
-        level = system.sub_crs_list[0] if system.is_compound else system
-        authority = level.to_authority()
-        if authority is None or not authority[1].isdecimal():
+        level = level_of(system_of(crs))
+        register, _, code = code_of(level).partition(":")
+        if not code.isdecimal():
             return
         for step in ZONES:
-            other = system_of(f"{authority[0]}:{int(authority[1]) + step}")
+            other = system_of(f"{register}:{int(code) + step}")
             # Of the same family: zones differ in their number alone.
             if other.is_projected and _family(other.name) == _family(level.name):
                 way = Transformer.from_crs(other, level, always_xy=True)
-                yield f"{':'.join(other.to_authority())} ({other.name})", np.array(way.transform(*place))
+                yield f"{code_of(other)} ({other.name})", np.array(way.transform(*place))
     except (CRSError, ProjError):
         return
 

@@ -120,6 +120,11 @@ def _each_once(pictures: Iterable[Path], folder: Path) -> list[Path]:
     return sorted(place.values(), key=lambda path: path.name)
 
 
+def left_out_entry(image: str, reason: str, code: str) -> dict[str, str]:
+    """Say why a picture takes no part, for people and by the code of the cause."""
+    return {"image": image, "reason": reason, "code": code}
+
+
 def each_picture(
     paths: Iterable[Path], measure: Callable[[Path], Measured], done: Callable[[float], None] = lambda _: None
 ) -> tuple[list[Measured], list[dict[str, str]]]:
@@ -131,7 +136,7 @@ def each_picture(
         except PictureTooLargeError:
             raise
         except PhotocalError as refusal:
-            left_out.append({"image": path.name, "reason": refusal.what, "code": "unreadable"})
+            left_out.append(left_out_entry(path.name, refusal.what, "unreadable"))
         done(1)
     return measured, left_out
 

@@ -14,13 +14,14 @@ from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.geodesy import enu_axes
 from photocal.base.text_tables import read_table, refuse
-from photocal.block.model import Block, ObjectPoints, Role
+from photocal.block.model import NO_POINTS, Block, ObjectPoints, Role
 from photocal.exchange.ground_points import read_gcp_list, read_gcp_rows
 from photocal.exchange.metashape import markers
 from photocal.exchange.parts import Mark, PointEntry, object_points, require_unique
 from photocal.exchange.source import Line, number, read_json, read_lines, read_xml, require_readable
 from photocal.findings.texts import Catalogue
-from photocal.geometry.frames import system_of
+from photocal.geometry.camera import Camera
+from photocal.geometry.frames import code_of, system_of, utm_zones
 from photocal.measurement.mark_frames import are_fractions
 from photocal.measurement.position_files import IMAGE_HEADS
 
@@ -81,21 +82,34 @@ def with_marks(block: Block, marks: Iterable[Mark]) -> tuple[Block, tuple[Mark, 
 class ControlMarks:
     """Control points and where images show them.
 
-    crs: of the coordinates; "local" without one. Geographic ones are longitude, latitude (deg), height.
+    crs: of the coordinates; "local" without one, empty where nobody says it. Geographic ones are longitude,
+        latitude (deg), height.
     marks: px of the stored pixel grid.
     without_coordinates: points that have marks but no coordinates: they are left out.
     rows: of the list, where it has one for each mark.
     refused: those that are not used, with the reason.
     assumed: points whose sigmas nobody states: they are along east, north and up in any system.
+    file, cameras: where they were read, and the cameras of another program's set-up.
+    unit_m: metres of the unit that heads state.
+    height, height_head: kind of the heights where a head says it, and that head.
+    level: EPSG code of the system of heights that it names.
+    unordered: whether no head says which of the coordinates is east.
     """
 
     crs: str
-    points: ObjectPoints
-    marks: tuple[Mark, ...]
+    points: ObjectPoints = NO_POINTS
+    marks: tuple[Mark, ...] = ()
     without_coordinates: tuple[str, ...] = ()
     rows: int = 0
     refused: tuple[str, ...] = ()
     assumed: frozenset[str] = frozenset()
+    file: Path = Path()
+    cameras: tuple[Camera, ...] = ()
+    unit_m: float = 1.0
+    height: str = ""
+    height_head: str = ""
+    level: str = ""
+    unordered: bool = False
 
 
 def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
@@ -151,8 +165,6 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
     are in feet, too.
     """
     from pyproj import Transformer
-    from pyproj.aoi import AreaOfInterest
-    from pyproj.database import query_utm_crs_info
     from pyproj.exceptions import CRSError
 
     if given.crs == "local":
@@ -169,17 +181,14 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
     elif (metres := unit_m(system)) != 1.0:
         system, points = _of_feet(system, metres, points, given.assumed)
     if not system.is_geographic:
-        authority = system.to_authority()
-        return replace(given, crs=":".join(authority) if authority else given.crs)
+        return replace(given, crs=code_of(system) or given.crs)
     longitude, latitude = points.values[:, :2].mean(axis=0).tolist()
     if not (abs(latitude) <= 84 and abs(longitude) <= 180):
         raise ConfigurationError(
             f"control at longitude {longitude:.6f}, latitude {latitude:.6f} is impossible",
             "are latitude and longitude exchanged?",
         )
-    area = AreaOfInterest(longitude, latitude, longitude, latitude)
-    zone = query_utm_crs_info("WGS 84", area)[0]
-    name = f"{zone.auth_name}:{zone.code}"
+    name = utm_zones(latitude, longitude)[0]
     east, north = Transformer.from_crs(system.to_2d(), name, always_xy=True).transform(
         points.values[:, 0], points.values[:, 1], errcheck=True
     )

@@ -7,6 +7,7 @@ Features of a set of images, matched and joined to tracks.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -29,7 +30,7 @@ from photocal.measurement.features import (
     detect,
 )
 from photocal.measurement.image_facts import ImageFacts, read_facts
-from photocal.measurement.image_file import as_eight_bit, each_picture, read_grey
+from photocal.measurement.image_file import as_eight_bit, each_picture, left_out_entry, read_grey
 from photocal.measurement.image_pairs import Footprints, select_pairs
 from photocal.measurement.patch_matching import ImageSource
 from photocal.measurement.tracks import Tracks, join_tracks, of_images
@@ -268,12 +269,11 @@ def _match_one(task: tuple[str, str, MatchingPlan]) -> Integers:
     first, second, plan = task
     key = combined_key(MATCHES, "match", first, second, plan.matches)
 
-    def make() -> Arrays:
-        """Match the features of two pictures."""
-        pairs = match(_features(plan, first, whole=True), _features(plan, second, whole=True), plan.matches)
-        return {"pairs": pairs}
-
-    return np.asarray(cached(plan.cache, key, ("pairs",), make)["pairs"], dtype=np.int64)
+    whole = partial(_features, plan, whole=True)
+    made = cached(
+        plan.cache, key, ("pairs",), lambda: {"pairs": match(whole(first), whole(second), plan.matches)}
+    )["pairs"]
+    return np.asarray(made, dtype=np.int64)
 
 
 def _features(plan: MatchingPlan, key: str, *, whole: bool = False) -> Features:
@@ -309,7 +309,11 @@ class ImageTracks:
         keep = np.array([not reason for reason in reasons])
         number = np.where(keep, np.cumsum(keep) - 1, -1)
         pairs = number[self.pairs]
-        left = [_entry(f.name, why, "other-size") for f, why in zip(self.facts, reasons, strict=True) if why]
+        left = [
+            left_out_entry(f.name, why, "other-size")
+            for f, why in zip(self.facts, reasons, strict=True)
+            if why
+        ]
         return replace(
             self,
             facts=tuple(f for f, good in zip(self.facts, keep, strict=True) if good),
@@ -318,10 +322,6 @@ class ImageTracks:
             pairs=pairs[(pairs >= 0).all(axis=1)],
             left_out=(*self.left_out, *left),
         )
-
-
-def _entry(image: str, reason: str, code: str) -> dict[str, str]:
-    return {"image": image, "reason": reason, "code": code}
 
 
 def track_images(
@@ -341,12 +341,12 @@ def track_images(
     with progress("detecting features", len(readable)) as done:
         keys, reasons = detect_all(readable, plan, done)
     good = [k for k, reason in enumerate(reasons) if not reason]
-    left_out += [_entry(readable[k].name, why, "unreadable") for k, why in enumerate(reasons) if why]
+    left_out += [left_out_entry(readable[k].name, why, "unreadable") for k, why in enumerate(reasons) if why]
     # Marks name the original, not "copy of" it, nor it with "(1)" behind.
     by_length = sorted(good, key=lambda k: len(readable[k].name))
     first = same_pictures({k: keys[k] for k in by_length}, plan)
     left_out += [
-        _entry(readable[k].name, f"is the same picture as {readable[j].name}", SAME)
+        left_out_entry(readable[k].name, f"is the same picture as {readable[j].name}", SAME)
         for k, j in first.items()
         if j != k
     ]

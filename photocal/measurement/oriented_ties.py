@@ -15,6 +15,7 @@ from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.control_fit import fit_control
+from photocal.measurement.image_file import left_out_entry
 from photocal.measurement.patch_matching import HALF, ImageSource, refine_reduced
 from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties
 from photocal.measurement.tie_block import (
@@ -23,7 +24,6 @@ from photocal.measurement.tie_block import (
     marked_control,
     reprojection_errors,
     with_ties,
-    without_images,
 )
 from photocal.measurement.tie_orientation import oriented, position_sigmas, reweighted
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
@@ -80,9 +80,9 @@ def first_orientation(marked: Block, tracks: Tracks) -> Oriented:
     sizes = _sizes(start)
     placed, poses, reasons, findings = oriented(start, _strong(tracks, sizes, FIRST_IN_A_CELL))
     named = zip(start.images.names, reasons, strict=True)
-    left_out += [{"image": name, "reason": why, "code": "not-joined"} for name, why in named if why]
+    left_out += [left_out_entry(name, why, "not-joined") for name, why in named if why]
     reached = np.array([not reason for reason in reasons])
-    start, tracks = without_images(placed, ~reached), of_images(tracks, reached)
+    start, tracks = placed.of_images(reached), of_images(tracks, reached)
     stated = dict(zip(names, sigma, strict=True))
     first = adjust_ties(start, poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL))
     fits = first.start
@@ -113,8 +113,7 @@ def _with_control(
         findings.append(Finding("control-not-used", "doubtful", figures=figures, cause="control-refused"))
         known = alone.start.points
         return alone, replace(alone.start, points=known.only(known.of_role("tie"))), findings
-    rejected, left_out = alone.rejected + adjusted.rejected, (*alone.left_out, *adjusted.left_out)
-    return replace(adjusted, rejected=rejected, left_out=left_out), fitted, findings
+    return adjusted.after(alone), fitted, findings
 
 
 def _by_positions(adjusted: AdjustedTies, stated: Mapping[str, Floats]) -> AdjustedTies:
@@ -140,8 +139,7 @@ def _by_positions(adjusted: AdjustedTies, stated: Mapping[str, Floats]) -> Adjus
             break
         if again.start.datum == "free":
             break
-        left_out = (*adjusted.left_out, *again.left_out)
-        adjusted = replace(again, rejected=adjusted.rejected + again.rejected, left_out=left_out)
+        adjusted = again.after(adjusted)
     return adjusted
 
 
@@ -222,12 +220,9 @@ def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, list[dict[s
         few = seen < fewest_ties
         if not few.any():
             return start, tracks, left_out
+        shares = "shares only {} tie points with the other images"
         left_out += [
-            {
-                "image": start.images.names[k],
-                "reason": f"shares only {seen[k]} tie points with the other images",
-                "code": "few-ties",
-            }
+            left_out_entry(start.images.names[k], shares.format(seen[k]), "few-ties")
             for k in np.flatnonzero(few)
         ]
         if (~few).sum() < 2:
@@ -236,7 +231,7 @@ def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, list[dict[s
                 f"the images cannot be oriented by tie points: {reasons}",
                 "take images that overlap by 60 % and more, from different places",
             )
-        start, tracks = without_images(start, few), of_images(tracks, ~few)
+        start, tracks = start.of_images(~few), of_images(tracks, ~few)
 
 
 def _strong(tracks: Tracks, sizes: Floats, in_a_cell: int) -> Tracks:

@@ -229,14 +229,11 @@ def _match_image(task: tuple[ImageSource, _Rays, Floats32]) -> Tracks:
     if not len(rays.track):
         return Tracks(rays.track, rays.image, rays.place, np.zeros(0))
 
-    def make() -> Arrays:
-        """Match patches against an image."""
-        return _matched(_smoothed(source), rays, patches)
-
     key = combined_key(
         VERSION, "matched", source.key, source.level, array_key(rays.place, rays.affinity, patches)
     )
-    held = cached(source.cache, key, ("index", "pixels", "sigma"), make)
+    names = ("index", "pixels", "sigma")
+    held = cached(source.cache, key, names, lambda: _matched(_smoothed(source), rays, patches))
     index = held["index"]
     return Tracks(rays.track[index], rays.image[index], held["pixels"], held["sigma"])
 

@@ -294,11 +294,10 @@ def _without_strays(control: ControlMarks) -> tuple[ControlMarks, list[Finding]]
     strays = stray_points(control.points, control.crs)
     if not strays:
         return control, []
-    rows = [stray.row for stray in strays]
-    points = control.points
+    rows, points = list(strays), control.points
     values, sigma, role = points.values.copy(), points.sigma.copy(), points.role.copy()
     values[rows], sigma[rows], role[rows] = np.nan, np.inf, ROLES.index("tie")
-    named = [stray.finding() for stray in strays]
+    named = list(strays.values())
     return replace(control, points=replace(points, values=values, sigma=sigma, role=role)), named
 
 
@@ -376,7 +375,7 @@ def _targets(
     progress: Progress,
 ) -> FoundTargets:
     if known.project is None:
-        return FoundTargets((), (), {}, ())
+        return FoundTargets()
     return targets_of_project(known.project, sources, known.exposures, points, plan.processes, progress)
 
 

@@ -7,7 +7,6 @@ with minutes and seconds, decimal commas and groups of thousands. What is no pla
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.base.text_tables import TextTable, folded, read_columns, read_under, shortened
 from photocal.findings.texts import Catalogue
+from photocal.measurement.marks import ControlMarks
 from photocal.measurement.position_files import PLACE_HEADS
 
 # Words of heights; beside one of them, or alone, stands what the heights count from.
@@ -57,57 +57,17 @@ _DECIMAL = re.compile(
 )
 
 
-@dataclass(frozen=True)
-class RefusedRow:
-    """A row that is no point, with what says why.
-
-    why: end of the key of a text.
-    """
-
-    place: str
-    why: str
-    figures: Mapping[str, object]
-
-    def said(self, say: Catalogue) -> str:
-        """Say it in a sentence."""
-        return say(f"new.row_{self.why}", place=self.place, **self.figures)
-
-
-@dataclass(frozen=True)
-class PlaceTable:
-    """The points of a table.
-
-    table: its rows that are points.
-    places: X, Y, Z of these, (n, 3), in the unit of X and Y; longitude and latitude in degrees.
-    refused: other rows with anything in them.
-    unit_m: metres of that unit, as the heads state it; 1 where they do not.
-    height: "ellipsoidal" or "orthometric" where the heads say so.
-    level: EPSG code of the system of heights that they name.
-    crs: system that a column of its own names.
-    """
-
-    table: TextTable
-    places: Floats
-    refused: tuple[RefusedRow, ...] = ()
-    unit_m: float = 1.0
-    height: str = ""
-    level: str = ""
-    crs: str = ""
-
-    @property
-    def height_head(self) -> str:
-        """The head of its heights as it stands in the file."""
-        return self.table.heads["Z"].strip()
-
-
 def read_places(
-    path: Path, heads: Mapping[str, Sequence[str]], required: Sequence[str], *, degrees: bool
-) -> PlaceTable:
+    path: Path, heads: Mapping[str, Sequence[str]], required: Sequence[str], say: Catalogue, *, degrees: bool
+) -> tuple[TextTable, Floats, ControlMarks]:
     """Read the points of a table.
 
     heads: words for the columns point, X, Y and Z, and for others.
     required: columns that it must have, beside these.
+    say: language in which other rows with anything in them are named.
     degrees: whether X and Y are longitude and latitude.
+    returns: its rows that are points; X, Y, Z of these, (n, 3), in the unit of X and Y; and control without
+        points yet: the system that a column names, rows that are refused, unit and heights as heads say them.
     raises InputNotFoundError, InputMalformedError: also when no row is a point with its place.
     """
     height = _height_column(path, heads["Z"])
@@ -124,13 +84,13 @@ def read_places(
         )
         for n, axis in enumerate("XYZ")
     ]
-    kept, refused = list[int](), list[RefusedRow]()
+    kept, refused = list[int](), list[str]()
     for n, row in enumerate(filled):
         why = _refusal(rows[row], [column[n] for column in parsed])
         if why is None:
             kept.append(n)
         else:
-            refused.append(RefusedRow(table.place(row), why[0], why[1]))
+            refused.append(say(f"new.row_{why[0]}", place=table.place(row), **why[1]))
     if not kept:
         raise _no_place(path, rows[filled[0]] if filled else ())
     plane = 1.0 if degrees else (stated["X"] or 1.0)
@@ -140,8 +100,16 @@ def read_places(
     kind, level = _kind_of(height)
     if not kind and _as_ellipsoidal(path, table, [filled[n] for n in kept], places[:, 2]):
         kind = "ellipsoidal"
-    crs = _stated_system(path, len(rows))
-    return PlaceTable(table.only([filled[n] for n in kept]), places, tuple(refused), plane, kind, level, crs)
+    only = table.only([filled[n] for n in kept])
+    control = ControlMarks(
+        "EPSG:4326" if degrees else _stated_system(path, len(rows)),
+        refused=tuple(refused),
+        unit_m=plane,
+        height=kind,
+        height_head=only.heads["Z"].strip(),
+        level=level,
+    )
+    return only, places, control
 
 
 def _no_place(path: Path, row: Sequence[str]) -> InputMalformedError:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -40,19 +40,20 @@ class PredictedTarget:
 
 
 @dataclass(frozen=True)
-class PlainMarks:
-    """Uncoded targets that were found.
+class FoundTargets:
+    """Targets that were found in images.
 
     marks: with the standard deviation that the grey values give, and a common part.
-    ambiguous: points that were given up, because two targets fit them, or their target fits two points.
-    sought: how many were predicted.
-    too_small: points that no image shows large enough to be told from a speck, and how large they are seen.
+    strangers: codes without a name.
+    record: how many were sought and found, and what was refused. Points are ambiguous that were given up
+        because two targets fit them, or their target fits two points; too small where no image shows them
+        large enough to be told from a speck.
     """
 
-    marks: tuple[Mark, ...]
-    ambiguous: tuple[str, ...]
-    sought: int
-    too_small: tuple[str, ...]
+    marks: tuple[Mark, ...] = ()
+    strangers: tuple[str, ...] = ()
+    record: dict[str, Any] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
 
 
 def find_plain_targets(
@@ -62,7 +63,7 @@ def find_plain_targets(
     wanted: Sequence[PlainTargets],
     processes: Workers,
     done: Callable[[float], None],
-) -> PlainMarks:
+) -> FoundTargets:
     """Find uncoded targets in images."""
     predicted = predicted_targets(orientation, points, wanted)
     expected = {
@@ -80,22 +81,33 @@ def find_plain_targets(
     # What stands beside a target stands there in all images, though some may not show both.
     sure = tuple(mark for mark in marks if mark.point not in doubts)
     sought = sum(len(predictions) for _, predictions in tasks)
-    ambiguous = tuple(f"point {name}: {reasons[0]}" for name, reasons in doubts.items())
-    return PlainMarks(sure, ambiguous, sought, _too_small(predicted.values()))
+    ambiguous = [f"point {name}: {reasons[0]}" for name, reasons in doubts.items()]
+    small = _too_small(predicted.values())
+    findings = [Finding("target-ambiguous", "doubtful", refusal) for refusal in ambiguous]
+    findings += [Finding("target-too-small", "doubtful", refusal) for refusal in small]
+    if sought and not sure:
+        findings.append(Finding("no-target-found", "doubtful", kinds_of(wanted), {"n": float(sought)}))
+    record = {"predicted": sought, "found": len(sure), "ambiguous": ambiguous, "too_small": small}
+    return FoundTargets(sure, (), record, tuple(findings))
 
 
-def _too_small(predicted: Iterable[Sequence[PredictedTarget]]) -> tuple[str, ...]:
+def kinds_of(wanted: Iterable[PlainTargets]) -> str:
+    """Name the kinds of targets, each once."""
+    return ", ".join(dict.fromkeys(target.kind for target in wanted))
+
+
+def _too_small(predicted: Iterable[Sequence[PredictedTarget]]) -> list[str]:
     largest: dict[str, PredictedTarget] = {}
     for target in (candidate for in_image in predicted for candidate in in_image):
         known = largest.get(target.point)
         if known is None or target.look.semi_axes[1] > known.look.semi_axes[1]:
             largest[target.point] = target
-    return tuple(
+    return [
         f"point {name}: its {look.kind} appears {2 * look.semi_axes[1]:.1f} px wide at most, "
         f"{SMALLEST_PX[look.kind]:g} px are needed"
         for name, look in ((name, target.look) for name, target in largest.items())
         if not look.large_enough
-    )
+    ]
 
 
 def predicted_targets(
@@ -183,20 +195,6 @@ def _unsure(camera: Camera) -> Camera:
     return replace(camera, prior_sigma=np.where(unknown, sigma, camera.prior_sigma))
 
 
-@dataclass(frozen=True)
-class FoundTargets:
-    """Targets that were found in the images of a project.
-
-    strangers: codes without a name.
-    record: how many were sought and found, and what was refused.
-    """
-
-    marks: tuple[Mark, ...]
-    strangers: tuple[str, ...]
-    record: dict[str, Any]
-    findings: tuple[Finding, ...]
-
-
 def targets_of_project(
     project: Project,
     sources: Sequence[ImageSource],
@@ -217,23 +215,14 @@ def targets_of_project(
         marks += coded_marks
         strangers += unnamed
     record: dict[str, Any] = {"coded": len(marks)}
-    kinds = ", ".join(dict.fromkeys(target.kind for target in given.plain_targets))
     if given.plain_targets and exposures is None:
-        findings.append(Finding("targets-not-sought", "doubtful", kinds))
+        findings.append(Finding("targets-not-sought", "doubtful", kinds_of(given.plain_targets)))
     elif exposures is not None and given.plain_targets:
         with progress("looking for targets", len(sources)) as done:
             plain = find_plain_targets(sources, exposures, control, given.plain_targets, workers, done)
         marks += plain.marks
-        record["plain"] = {
-            "predicted": plain.sought,
-            "found": len(plain.marks),
-            "ambiguous": list(plain.ambiguous),
-            "too_small": list(plain.too_small),
-        }
-        findings += [Finding("target-ambiguous", "doubtful", refusal) for refusal in plain.ambiguous]
-        findings += [Finding("target-too-small", "doubtful", refusal) for refusal in plain.too_small]
-        if plain.sought and not plain.marks:
-            findings.append(Finding("no-target-found", "doubtful", kinds, {"n": float(plain.sought)}))
+        record["plain"] = plain.record
+        findings += plain.findings
     return FoundTargets(tuple(marks), tuple(strangers), record, tuple(findings))
 
 

@@ -21,7 +21,7 @@ from photocal.exchange.reference_table import read_references
 from photocal.exchange.source import read_text
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_text, plain
-from photocal.geometry.frames import system_of
+from photocal.geometry.frames import level_of, system_of
 from photocal.geometry.realizations import (
     FrameShift,
     Realization,
@@ -104,9 +104,7 @@ def map_places(facts: Sequence[ImageFacts], crs: str) -> Floats:
         [(f.longitude_deg, f.latitude_deg, f.altitude_m) for f in facts]
     )[known].T
     try:
-        system = system_of(crs)
-        level = system.sub_crs_list[0] if system.is_compound else system
-        way = Transformer.from_crs("EPSG:4326", level.to_2d(), always_xy=True)
+        way = Transformer.from_crs("EPSG:4326", level_of(system_of(crs)).to_2d(), always_xy=True)
         east, north = way.transform(longitude, latitude, errcheck=True)
     except ProjError as refusal:
         raise ConfigurationError(
@@ -253,9 +251,7 @@ def _in_degrees(crs: str, listed: Mapping[str, tuple[float, ...]], path: Path) -
         raise malformed("does not state its system", "name its columns latitude and longitude")
     values = np.array(list(listed.values()), dtype=float).reshape(-1, 6)
     try:
-        system = system_of(crs)
-        level = system.sub_crs_list[0] if system.is_compound else system
-        way = Transformer.from_crs(level.to_2d(), "EPSG:4326", always_xy=True)
+        way = Transformer.from_crs(level_of(system_of(crs)).to_2d(), "EPSG:4326", always_xy=True)
         values[:, 0], values[:, 1] = way.transform(values[:, 0], values[:, 1], errcheck=True)
     except ProjError as refusal:
         raise malformed(f"its system {crs} cannot be used ({refusal})") from refusal

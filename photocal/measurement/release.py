@@ -30,7 +30,6 @@ from photocal.measurement.tie_block import (
     place,
     rescaled_poses,
     with_ties,
-    without_images,
     without_single_rays,
 )
 from photocal.measurement.tie_orientation import KEPT_MISFIT, OF_POSITIONS, position_sigmas
@@ -361,7 +360,7 @@ def _restored(held: AdjustedTies, released: AdjustedTies, block: Block) -> tuple
     wrongly moves images by more than good positions are wrong.
     """
     names = released.block.images.names
-    bare = without_images(block, ~np.isin(block.images.names, names))
+    bare = block.of_images(np.isin(block.images.names, names))
     remaining = np.isin(held.block.images.names, names)
     borne, findings = np.full_like(bare.images.sigma, np.inf), list[Finding]()
     if released.start.datum == "free":
@@ -374,7 +373,7 @@ def _restored(held: AdjustedTies, released: AdjustedTies, block: Block) -> tuple
     bare = replace(bare, datum=released.start.datum, images=replace(bare.images, sigma=borne))
     known = np.hstack([released.start.images.values[:, :3], bare.images.values[:, 3:]])
     poses = np.where(np.isfinite(borne), known, held.values[remaining])
-    oriented = without_images(held.start, ~remaining)
+    oriented = held.start.of_images(remaining)
     oriented = replace(oriented, images=replace(oriented.images, values=held.values[remaining]))
     values = place(oriented, released.tracks, 0.0)
     sigma = released.block.observations.sigma[len(bare.observations.image) :, 0]

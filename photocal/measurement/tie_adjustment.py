@@ -19,13 +19,13 @@ from photocal.block.network import NetworkOfBlock, assemble
 from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+from photocal.measurement.image_file import left_out_entry
 from photocal.measurement.tie_block import (
     GROSS,
     fitting,
     place,
     ray_sigmas,
     with_ties,
-    without_images,
     without_single_rays,
 )
 from photocal.measurement.tracks import Tracks, of_images
@@ -61,6 +61,11 @@ class AdjustedTies:
     def tie_sigma(self) -> float:
         """Standard deviation of the rays of tie points, root mean square, px."""
         return float(np.sqrt(np.mean(self.block.observations.sigma[-len(self.tracks.track) :] ** 2)))
+
+    def after(self, before: Self) -> Self:
+        """Count what an adjustment before this one has rejected and left out, too."""
+        left_out = (*before.left_out, *self.left_out)
+        return replace(self, rejected=before.rejected + self.rejected, left_out=left_out)
 
 
 @dataclass(frozen=True)
@@ -102,11 +107,7 @@ class _Ties:
         """Take out the images that too few rays hold."""
         few, names = count < FEWEST_RAYS, self.start.images.names
         gone = [
-            {
-                "image": names[k],
-                "reason": f"only {count[k]} of its tie points fit the other images",
-                "code": "few-ties",
-            }
+            left_out_entry(names[k], f"only {count[k]} of its tie points fit the other images", "few-ties")
             for k in np.flatnonzero(few)
         ]
         if (~few).sum() < 2:
@@ -117,7 +118,7 @@ class _Ties:
         ties = self.some(~few[self.tracks.image])
         return replace(
             ties,
-            start=without_images(self.start, few),
+            start=self.start.of_images(~few),
             poses=self.poses[~few],
             tracks=of_images(ties.tracks, ~few),
             left_out=(*self.left_out, *gone),
@@ -187,12 +188,8 @@ def with_vibration(adjusted: AdjustedTies) -> AdjustedTies:
             adjusted.start.cameras, network.cameras, solution.cameras, strict=True
         )
     )
-    again = adjust_ties(replace(adjusted.start, cameras=cameras), adjusted.values, adjusted.tracks)
-    return replace(
-        again,
-        rejected=adjusted.rejected + again.rejected,
-        left_out=(*adjusted.left_out, *again.left_out),
-    )
+    start = replace(adjusted.start, cameras=cameras)
+    return adjust_ties(start, adjusted.values, adjusted.tracks).after(adjusted)
 
 
 def _kept(start: Block, poses: Floats) -> Images:

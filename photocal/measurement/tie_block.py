@@ -11,7 +11,7 @@ import numpy as np
 from photocal.adjustment.start.model import UNLIKE
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.policy import policy
-from photocal.block.model import ROLES, Block, Images
+from photocal.block.model import ROLES, Block, Images, Observations
 from photocal.block.network import block_frame, observed_pixels, observed_plane
 from photocal.geometry.camera import Camera, among
 from photocal.geometry.distortion import slopes_of
@@ -83,22 +83,6 @@ def position_sigma(
     return np.where(np.isfinite(stated) & (stated > 0), stated, assumed)
 
 
-def without_images(block: Block, gone: Flags) -> Block:
-    """Take images out of a block, with their observations and the cameras of no other image; points stay."""
-    keep = np.flatnonzero(~gone)
-    images, seen = block.images, block.observations
-    place = np.full(len(gone), -1)
-    place[keep] = np.arange(len(keep))
-    left = place[seen.image] >= 0
-    cameras, camera = np.unique(images.camera[keep], return_inverse=True)
-    return replace(
-        block,
-        cameras=tuple(block.cameras[k] for k in cameras),
-        images=replace(images.some(keep), camera=camera.astype(np.int64)),
-        observations=replace(seen.rows(left), image=place[seen.image[left]]),
-    )
-
-
 def without_single_rays(block: Block) -> Block:
     """Take out what is measured in one image only: of a free block it determines nothing."""
     seen = block.observations
@@ -126,6 +110,14 @@ def with_ties(block: Block, tracks: Tracks, values: Floats, sigma: Floats) -> Bl
             tracks.image, tracks.track + len(known.names), tracks.pixels, np.column_stack([sigma, sigma])
         ),
     )
+
+
+def tracks_of(seen: Observations, rays: Flags) -> tuple[Integers, Tracks]:
+    """Take some observations, px of the stored grid, as tracks, and give the points that these are of."""
+    rows = np.flatnonzero(rays)
+    rows = rows[np.argsort(seen.point[rows], kind="stable")]
+    points, track = np.unique(seen.point[rows], return_inverse=True)
+    return points, Tracks(track, seen.image[rows], seen.values[rows], np.ones(len(rows)))
 
 
 def marked_control(block: Block) -> Integers:

@@ -82,35 +82,26 @@ def _block_facts(run: AnalysedRun, say: Catalogue) -> KeyValues:
     kind = result.block.datum
     if kind == "control" and not roles.get("control"):
         kind = "positions"
-    datum = say(f"method.datum_{kind}") if kind in ("control", "positions", "free") else kind
-    rows = [
-        (say("title.block"), result.block.name),
-        (say("method.datum"), datum),
-        (say("method.frame"), result.block.frame),
-    ]
-    if result.block.height:
-        key = f"method.height_{result.block.height}"
-        rows.append((say("method.height"), say(key) if key in say.messages else result.block.height))
-    bent, plane = result.block.refraction, result.block.frame == "local" and not result.block.curvature
-    rows += [
-        (
-            say("method.refraction"),
-            say("method.not_modelled") if bent is None else say("method.coefficient", k=say.fixed(bent, 3)),
-        ),
-        (say("method.curvature"), say("method.not_modelled" if plane else "method.modelled")),
-    ]
+    block, height = result.block, f"method.height_{result.block.height}"
+    bent, plane = block.refraction, block.frame == "local" and not block.curvature
+    straight = say("method.not_modelled")
     counts = {role: roles.get(role, 0) for role in ("control", "check", "tie")}
-    unit = f"{result.block.observation_unit}, {say(f'word.{result.block.observation_axes}')}"
-    rows += [
-        (say("method.images"), str(len(result.images))),
-        (say("method.points"), say("method.points_value", **counts)),
-        (say("method.observations"), str(result.observations)),
-        (say("method.unknowns"), str(result.unknowns)),
-        (say("method.dof"), str(result.degrees_of_freedom)),
-        (say("method.iterations"), str(result.iterations)),
-        (say("method.unit"), unit),
-    ]
-    return KeyValues(tuple(rows))
+    facts = {
+        "title.block": block.name,
+        "method.datum": say(f"method.datum_{kind}") if kind in ("control", "positions", "free") else kind,
+        "method.frame": block.frame,
+        "method.height": say(height) if height in say.messages else block.height,
+        "method.refraction": straight if bent is None else say("method.coefficient", k=say.fixed(bent, 3)),
+        "method.curvature": straight if plane else say("method.modelled"),
+        "method.images": str(len(result.images)),
+        "method.points": say("method.points_value", **counts),
+        "method.observations": str(result.observations),
+        "method.unknowns": str(result.unknowns),
+        "method.dof": str(result.degrees_of_freedom),
+        "method.iterations": str(result.iterations),
+        "method.unit": f"{block.observation_unit}, {say(f'word.{block.observation_axes}')}",
+    }
+    return KeyValues(tuple((say(key), text) for key, text in facts.items() if text or key != "method.height"))
 
 
 def relative_orientations(title: str, run: AnalysedRun, say: Catalogue) -> tuple[Section, ...]:

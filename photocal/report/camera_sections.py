@@ -35,36 +35,31 @@ ROWS = 60
 def camera_facts(camera_id: str, camera: Camera, readout: Readout | None, say: Catalogue) -> KeyValues:
     """List the format, pitch and model of a camera."""
     width, height = camera.size_px
-    size = {"width": str(width), "height": str(height)}
-    rows = [(say("camera.id"), camera_id)]
+    form, pitch = {"width": str(width), "height": str(height)}, ""
     if camera.unit == "mm":
-        extent = [say.fixed(n * p, 3) for n, p in zip(camera.size_px, camera.pitch, strict=True)]
-        rows.append((say("camera.format"), say("camera.format_mm", **size, x=extent[0], y=extent[1])))
-        pitch = [say.significant(1e3 * p, 6) for p in camera.pitch]
-        rows.append((say("camera.pitch"), say("camera.pitch_value", x=pitch[0], y=pitch[1])))
-    else:
-        rows.append((say("camera.format"), say("camera.format_value", **size)))
-    rows.append((say("camera.unit"), camera.unit))
-    rows.append((say("camera.model"), say(f"camera.model_{camera.model.removeprefix('brown-')}")))
+        x, y = (say.fixed(n * p, 3) for n, p in zip(camera.size_px, camera.pitch, strict=True))
+        form |= {"x": x, "y": y}
+        x, y = (say.significant(1e3 * p, 6) for p in camera.pitch)
+        pitch = say("camera.pitch_value", x=x, y=y)
     affinity = say("camera.affinity_none")
     if any(camera.value(name) or name in camera.free for name in ("B1", "B2")):
-        form, place = (
-            say(f"camera.{key}") for key in (f"form_{camera.affinity_form}", f"affinity_{camera.affinity}")
-        )
-        affinity = say("camera.affinity_value", form=form, place=place)
-    rows.append((say("camera.affinity"), affinity))
-    if camera.reference_radius:
-        radius = f"{say.significant(camera.reference_radius, 6)} {camera.unit}"
-        rows.append((say("camera.reference_radius"), radius))
-    if camera.focus_m:
-        distance = f"{say.significant(camera.focus_m, 4)} m"
-        rows.append((say("camera.focus"), say("camera.focus_value", distance=distance)))
-    if camera.photo_variant:
-        rows.append((say("camera.photo_variant"), ", ".join(camera.photo_variant)))
-    if readout is not None:
-        rows.append((say("camera.shutter"), _shutter(camera, readout, say)))
-    rows.append((say("camera.axes"), say("camera.axes_value")))
-    return KeyValues(tuple(rows))
+        kinds = {"form": f"form_{camera.affinity_form}", "place": f"affinity_{camera.affinity}"}
+        affinity = say("camera.affinity_value", **{name: say(f"camera.{key}") for name, key in kinds.items()})
+    radius, focus = say.significant(camera.reference_radius, 6), say.significant(camera.focus_m, 4)
+    facts = {
+        "id": camera_id,
+        "format": say("camera.format_mm" if pitch else "camera.format_value", **form),
+        "pitch": pitch,
+        "unit": camera.unit,
+        "model": say(f"camera.model_{camera.model.removeprefix('brown-')}"),
+        "affinity": affinity,
+        "reference_radius": f"{radius} {camera.unit}" if camera.reference_radius else "",
+        "focus": say("camera.focus_value", distance=f"{focus} m") if camera.focus_m else "",
+        "photo_variant": ", ".join(camera.photo_variant),
+        "shutter": "" if readout is None else _shutter(camera, readout, say),
+        "axes": say("camera.axes_value"),
+    }
+    return KeyValues(tuple((say(f"camera.{key}"), text) for key, text in facts.items() if text))
 
 
 def _shutter(camera: Camera, readout: Readout, say: Catalogue) -> str:

@@ -41,17 +41,6 @@ FORMS = ("certificate.html", "certificate.pdf", NAME)
 
 
 @dataclass(frozen=True)
-class _Block:
-    setup: str = ""
-
-
-@dataclass(frozen=True)
-class _Result:
-    inputs: tuple[InputFile, ...]
-    block: _Block
-
-
-@dataclass(frozen=True)
 class _Asked:
     alpha: Annotated[float, Field(gt=0, lt=1)]
     correlation_threshold: Annotated[float, Field(ge=0, le=1)]
@@ -68,7 +57,7 @@ class _Needed:
     particulars: dict[str, Any]
     warnings: tuple[dict[str, Any], ...]
     notes: tuple[dict[str, Any], ...]
-    result: _Result
+    result: Figures
     analysis: _Asked | None
     run_files: tuple[InputFile, ...]
     documents: dict[str, str]

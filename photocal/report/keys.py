@@ -21,7 +21,7 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 from photocal.base.checked_toml import read_checked_json
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
-from photocal.base.files import compared, output_file, plain_name, refusals
+from photocal.base.files import compared, plain_name, refusals, write_file
 from photocal.base.operating_system import is_private, lock, private_folder, settings_folder, sync_folder
 
 if TYPE_CHECKING:
@@ -125,8 +125,7 @@ def new_key(name: str, passphrase: str = "", last_day: dt.date | None = None) ->
     key = Key(name, private.public_key().public_bytes_raw(), last_day)
     content = {"name": name, "public": base64.b64encode(key.public).decode()}
     expires = {} if last_day is None else {"expires": last_day.isoformat()}
-    with output_file(path.with_name(_OWN)) as aside:
-        aside.write_text(json.dumps(content | expires), encoding="utf-8")
+    write_file(path.with_name(_OWN), json.dumps(content | expires))
     return key
 
 
@@ -252,10 +251,9 @@ def trust(name: str, fingerprint: str, last_day: dt.date | None = None) -> None:
         return
     private_folder(settings_folder())
     before = path.read_text(encoding="utf-8").rstrip("\n") if path.is_file() else ""
-    with output_file(path) as aside:
-        until = "" if last_day is None else f"{last_day} "
-        lines = [*([before] if before else []), f"{fingerprint} {until}{key_name(name)}"]
-        aside.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    until = "" if last_day is None else f"{last_day} "
+    lines = [*([before] if before else []), f"{fingerprint} {until}{key_name(name)}"]
+    write_file(path, "\n".join(lines) + "\n")
 
 
 def is_name_of(name: str, other: str) -> bool:
@@ -320,8 +318,7 @@ def note(number: str, digest: str, now: dt.datetime) -> tuple[dict[str, Any], st
         os.fsync(stream.fileno())
         sync_folder(path.parent)
         head = {"entries": entry["entry"], "sha256": hashlib.sha256(line).hexdigest()}
-        with output_file(path.with_suffix(_HEAD)) as aside:
-            aside.write_text(json.dumps(head) + "\n", encoding="utf-8")
+        write_file(path.with_suffix(_HEAD), json.dumps(head) + "\n")
     return entry, told
 
 

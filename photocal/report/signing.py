@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
-from photocal.base.files import output_file
+from photocal.base.files import write_file
 from photocal.base.operating_system import settings_folder
 from photocal.report.keys import (
     Key,
@@ -93,8 +93,7 @@ def stamp(signature: Path, authority: str) -> Stamped:
         raise InputMalformedError(
             "the answer stamps something else", "take another authority", where=authority
         )
-    with output_file(signature.with_name(STAMP)) as aside:
-        aside.write_bytes(answer)
+    write_file(signature.with_name(STAMP), answer)
     return Stamped(response.tst_info.gen_time, _signer(response), verified=False)
 
 
@@ -274,8 +273,7 @@ def sign(folder: Path, number: str, now: dt.datetime, passphrase: str = "") -> t
         "files": files,
     }
     signed = {**content, "signature": _text(private.sign(_canonical(content)))}
-    with output_file(folder / SIGNATURE) as aside:
-        aside.write_text(json.dumps(signed, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_file(folder / SIGNATURE, json.dumps(signed, indent=1, ensure_ascii=False) + "\n")
     return key, told
 
 

@@ -37,7 +37,7 @@ from photocal.measurement.marks import (
     read_control_marks,
     with_marks,
 )
-from photocal.measurement.tie_block import TIE, intersected, views_of, without_images
+from photocal.measurement.tie_block import TIE, intersected, tracks_of, views_of
 from photocal.measurement.tracks import Tracks
 from photocal.run.folder_survey import ASSUMED_M
 
@@ -168,7 +168,7 @@ def without_what_hangs_loose(foreign: ForeignProject) -> ForeignProject:
         if not few.any() or few.all():
             break
         names += [block.images.names[k] for k in np.flatnonzero(few)]
-        weak, kept = without_images(block, few), ~few
+        weak, kept = block.of_images(~few), ~few
         # Of the images that stay: what is not as long as the block counts as not known.
         foreign = replace(
             foreign,
@@ -216,12 +216,9 @@ def _without_parallax(block: Block) -> tuple[Block, int]:
     if np.isnan(block.images.values).any():
         return block, 0
     seen, frame = block.observations, block_frame(block)
-    rays &= tie[seen.point]
-    order = np.flatnonzero(rays)[np.argsort(seen.point[rays], kind="stable")]
-    if not len(order):
+    points, tracks = tracks_of(seen, rays & tie[seen.point])
+    if not len(points):
         return block, 0
-    points, track = np.unique(seen.point[order], return_inverse=True)
-    tracks = Tracks(track, seen.image[order], seen.values[order], np.ones(len(order)))
     views = views_of(block, frame)
     local = intersected(views, tracks)
     flat = points[~(_parallax_px(views, tracks) > LEAST_PARALLAX_PX) | np.isnan(local).any(axis=1)]
@@ -230,10 +227,7 @@ def _without_parallax(block: Block) -> tuple[Block, int]:
     values[points[bare]] = frame.to_given(local[bare])
     keep = np.ones(len(values), dtype=np.bool_)
     keep[flat] = False
-    seen = seen.rows(keep[seen.point])
-    seen = replace(seen, point=(np.cumsum(keep) - 1)[seen.point])
-    left = replace(block.points, values=values).only(keep)
-    return replace(block, points=left, observations=seen), len(flat)
+    return replace(block, points=replace(block.points, values=values)).of_points(keep), len(flat)
 
 
 def _parallax_px(views: OrientedImages, tracks: Tracks) -> Floats:
@@ -277,12 +271,10 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
         replace(block, points=control.points, observations=none), named_after(control.marks, names)
     )
     seen = marked.observations
-    order = np.argsort(seen.point, kind="stable")
-    kept, track = np.unique(seen.point[order], return_inverse=True)
+    kept, tracks = tracks_of(seen, np.ones(len(seen.point), dtype=np.bool_))
     # From the program's own axes, Cartesian ones, to those at the middle of the control.
     own, local = block_frame(block), control.crs == "local"
     there = frame_of(control.crs, "" if local else UNSTATED, control.points.values)
-    tracks = Tracks(track, seen.image[order], seen.values[order], np.ones(len(order)))
     places = intersected(views_of(block, own), tracks)
     met = np.isfinite(places).all(axis=1)
     if met.sum() < policy.fewest_control:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,10 +15,10 @@ from photocal.run.stage import RECORD, Stage
 from photocal.run.summary import gather, read_json
 
 if TYPE_CHECKING:
-    from photocal.run.reading import BlockReader
+    from photocal.block.model import Block
 
 
-def calibration_stage(block: Path, read: BlockReader) -> Stage:
+def calibration_stage(block: Path, read: Callable[[Path], Block]) -> Stage:
     """Describe the stage that adjusts everything together."""
 
     def make(folder: Path, show: Progress) -> None:
@@ -30,7 +31,7 @@ def calibration_stage(block: Path, read: BlockReader) -> Stage:
     return Stage("calibration", "integrated adjustment with the camera", make, after=(block,))
 
 
-def analysis_stage(block: Path, calibration: Path, read: BlockReader) -> Stage:
+def analysis_stage(block: Path, calibration: Path, read: Callable[[Path], Block]) -> Stage:
     """Describe the stage that looks for hidden errors; its folder is the run with `analysis.json`."""
 
     def make(folder: Path, show: Progress) -> None:

@@ -28,13 +28,11 @@ _STAGE, _BLOCK = "calibration", "block"
 class Calibrated:
     """A flight whose camera was calibrated.
 
-    run: folder with its `result.json` or `certificate.json`.
     day, temperature_c: of the calibration, where a certificate says them.
     camera_temperature_c: of lens or sensor, by the pictures; median.
     """
 
     name: str
-    run: Path
     block: Path
     cameras: dict[str, Camera]
     day: dt.date | None = None
@@ -100,9 +98,8 @@ def _calibrated(path: Path) -> Calibrated:
         )
     result = read_result(run)
     source = result.block.source
-    return Calibrated(
-        name, run, run / source if source else path / _BLOCK, result.cameras, heads=result.heads
-    )
+    block = run / source if source else path / _BLOCK
+    return Calibrated(name, block, result.cameras, heads=result.heads)
 
 
 def _certified(path: Path) -> Calibrated:
@@ -111,7 +108,6 @@ def _certified(path: Path) -> Calibrated:
     given = given_particulars(content["particulars"], content["date"])
     return Calibrated(
         f"{content['number']}",
-        folder,
         folder / CARRIED,
         cameras_of_json(content["result"]["cameras"], folder / NAME),
         given.laboratory.measured or given.date,

@@ -4,7 +4,7 @@ import datetime as dt
 import sys
 from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, PhotocalError, system_refusals
 from photocal.base.extensions import STAGES, brought
 from photocal.base.progress import Bar, Progress, quiet, unseen
+from photocal.block.folder import read_block
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.project import Project, read_project
 from photocal.run.block import block_stage, given_block_stage
@@ -25,7 +26,6 @@ from photocal.run.measurements import measurements_stage
 from photocal.run.output_place import check_output
 from photocal.run.ppk import ppk_stage
 from photocal.run.project_checks import check_project, explained
-from photocal.run.reading import block_reader
 from photocal.run.stage import (
     AddedStage,
     Digests,
@@ -50,7 +50,9 @@ Task = tuple[Path, dt.date, str | None, str | None, bool]
 def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
     """List the stages of a project."""
     work = made_in(project.output)
-    block, calibration, read = work / "block", work / "calibration", block_reader()
+    block, calibration = work / "block", work / "calibration"
+    # A block is complete before it is read, once for all stages.
+    read = cache(read_block)
     given = project.contents.measurements
     if given is not None and given.block is not None:
         first: tuple[Stage, ...] = (given_block_stage(project, given.block),)

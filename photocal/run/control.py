@@ -56,7 +56,7 @@ def control_figures(project: Project) -> dict[str, Any]:
             # Its marks are named as those of a picture that cannot be used.
             continue
     used, frame, unused, findings = settle_marks(marks, points.names, facts, pictures)
-    strays = [stray.finding() for stray in stray_points(points, project.crs)]
+    strays = stray_points(points, project.crs).values()
     lost, say = [finding for _, finding in unused], catalogue("en")
     return {
         "schema": SCHEMA,

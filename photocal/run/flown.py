@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from photocal.accuracy.discrepancies import LaserShots, check_laser, laser_finding
+from photocal.accuracy.discrepancies import check_laser, laser_finding
 from photocal.accuracy.maps import reference_system
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, InputMalformedError
@@ -106,11 +106,10 @@ def measure_flown(
     # As observations they are no check of the surface that they made.
     checks = files.terrain is not None or not len(model.lasers.image)
     if checks and np.isfinite(lasers).any():
-        shot = LaserShots(shots.station, -shots.rotation[:, 2], lasers)
-        near = frame.to_local(points)
+        hit, near = shots.station - lasers[:, None] * shots.rotation[:, 2], frame.to_local(points)
         if files.terrain is not None:
-            near = _of_terrain(shot, model, frame, files.terrain, files.terrain_heights)
-        checked = check_laser(shot, near, _share_of_c(run))
+            near = _of_terrain(hit, model, frame, files.terrain, files.terrain_heights)
+        checked = check_laser(hit, lasers, near, _share_of_c(run))
         found = laser_finding(checked, int(np.isfinite(lasers).sum()))
         figures |= as_record([found])
     figures["control_by_strip"] = control
@@ -142,18 +141,15 @@ def measure_flown(
     return figures
 
 
-def _of_terrain(
-    shots: LaserShots, model: Block, frame: LocalFrame, path: Path, heights: str | None
-) -> Floats:
-    """Points of a terrain model about what the laser hit, in the frame of the shots.
+def _of_terrain(hit: Floats, model: Block, frame: LocalFrame, path: Path, heights: str | None) -> Floats:
+    """Points of a terrain model about what lasers hit, (n, 3), in the same frame.
 
     raises ConfigurationError: when block and model differ in their systems or kinds of heights.
     """
     raster = describe(path)
     kind = heights_of(raster, model, heights)
     system_of(raster, model, None)
-    known = np.isfinite(shots.distance_m)
-    target = frame.to_given(shots.station[known] + shots.distance_m[known, None] * shots.direction[known])
+    target = frame.to_given(hit[np.isfinite(hit).all(axis=1)])
     # Nine points about each, m apart: closer than the surface may be to be one.
     steps = np.array([(x, y, 0.0) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
     about = (target[:, None] + steps).reshape(-1, 3)

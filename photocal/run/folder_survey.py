@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from photocal.base.arrays import Integers
+from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputNotFoundError, PhotocalError
-from photocal.base.text_tables import folded, shortened
+from photocal.base.text_tables import TextTable, folded, shortened
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.exchange.parts import Mark, PointEntry, object_points
 from photocal.exchange.source import number, read_lines
@@ -29,7 +29,7 @@ from photocal.measurement.marks import (
     read_control_marks,
     read_typed_list,
 )
-from photocal.measurement.place_tables import PlaceTable, read_places
+from photocal.measurement.place_tables import read_places
 from photocal.measurement.position_files import PLACE_HEADS, UnbelievableListError, in_degrees, read_positions
 
 # Sigma of control points whose file has none, horizontal and vertical, m: a network RTK of short occupation.
@@ -76,35 +76,6 @@ _COMPUTED = {
 _NOT_READ = ("MMVII",)
 
 
-@dataclass(frozen=True)
-class ControlFile:
-    """Control points and marks of one file.
-
-    crs: "local" without one, else as the file calls it; empty when it does not say.
-    cameras: where another program's set-up has them.
-    rows, refused: of a list with a row for each mark: how many, and those that cannot be used.
-    assumed: points whose sigmas nobody states.
-    unit_m: metres of the unit that heads state.
-    height, height_head: kind of the heights where a head says it, and that head.
-    level: EPSG code of the system of heights that it names.
-    unordered: whether no head says which of the coordinates is east.
-    """
-
-    file: Path
-    crs: str = ""
-    points: ObjectPoints | None = None
-    marks: tuple[Mark, ...] = ()
-    assumed: frozenset[str] = frozenset()
-    cameras: tuple[Camera, ...] = ()
-    rows: int = 0
-    refused: tuple[str, ...] = ()
-    unit_m: float = 1.0
-    height: str = ""
-    height_head: str = ""
-    level: str = ""
-    unordered: bool = False
-
-
 @dataclass
 class FolderContents:
     """What a folder has, in the order of its names.
@@ -117,8 +88,8 @@ class FolderContents:
 
     folder: Path
     pictures: dict[Path, tuple[ImageFacts, ...]] = field(default_factory=dict)
-    control: list[ControlFile] = field(default_factory=list)
-    marks: list[ControlFile] = field(default_factory=list)
+    control: list[ControlMarks] = field(default_factory=list)
+    marks: list[ControlMarks] = field(default_factory=list)
     logs: list[Path] = field(default_factory=list)
     raw_logs: list[Path] = field(default_factory=list)
     events: list[Path] = field(default_factory=list)
@@ -162,7 +133,7 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
         elif kind in (*_TABLES, ".xml", ".json", ".psz"):
             control = _control(path, sizes, seen.unread, say)
             if control is not None:
-                (seen.marks if control.points is None else seen.control).append(control)
+                (seen.control if control.points.names else seen.marks).append(control)
     return seen
 
 
@@ -231,7 +202,7 @@ def _files(folder: Path, depth: int) -> Iterator[Path]:
             yield from _files(path, depth - 1)
 
 
-def _control(path: Path, sizes: Sizes, unread: list[str], say: Catalogue) -> ControlFile | None:
+def _control(path: Path, sizes: Sizes, unread: list[str], say: Catalogue) -> ControlMarks | None:
     """Control or marks of a file; None for one that has neither. What looks like them tells why not."""
     refusals = []
     for read in _READERS[path.suffix.lower()]:
@@ -240,6 +211,7 @@ def _control(path: Path, sizes: Sizes, unread: list[str], say: Catalogue) -> Con
         except PhotocalError as refusal:
             refusals.append(refusal)
             continue
+        control = replace(control, file=path)
         if control.rows:
             return control
         unread += control.refused
@@ -268,24 +240,21 @@ def _seems_a_table(path: Path) -> tuple[bool, bool]:
     return headed, len(rows) > headed and most[len(most) // 3] >= least
 
 
-def _one_file(path: Path, sizes: Sizes, _: Catalogue) -> ControlFile:
-    given: ControlMarks = read_control_marks(path, ASSUMED_M, sizes)
-    return ControlFile(path, given.crs, given.points, given.marks, given.assumed)
+def _one_file(path: Path, sizes: Sizes, _: Catalogue) -> ControlMarks:
+    return read_control_marks(path, ASSUMED_M, sizes)
 
 
-def _typed_list(path: Path, _: Sizes, say: Catalogue) -> ControlFile:
-    given = read_typed_list(path, ASSUMED_M, say)
-    rows, refused = given.rows, given.refused
-    return ControlFile(path, given.crs, given.points, given.marks, given.assumed, rows=rows, refused=refused)
+def _typed_list(path: Path, _: Sizes, say: Catalogue) -> ControlMarks:
+    return read_typed_list(path, ASSUMED_M, say)
 
 
-def _other_program(path: Path, _: Sizes, __: Catalogue) -> ControlFile:
+def _other_program(path: Path, _: Sizes, __: Catalogue) -> ControlMarks:
     from photocal.exchange.formats import read_foreign_block
 
     return of_foreign(path, read_foreign_block(path))
 
 
-def of_foreign(path: Path, block: Block) -> ControlFile:
+def of_foreign(path: Path, block: Block) -> ControlMarks:
     """Control, its marks and the cameras of another program's block."""
     from photocal.exchange.foreign_project import in_pixels
 
@@ -300,56 +269,51 @@ def of_foreign(path: Path, block: Block) -> ControlFile:
         )
         if surveyed[j]
     )
-    return ControlFile(path, block.frame, block.points.only(surveyed), marks, cameras=block.cameras)
+    return ControlMarks(block.frame, block.points.only(surveyed), marks, cameras=block.cameras)
 
 
-def _micmac(path: Path, _: Sizes, __: Catalogue) -> ControlFile:
+def _micmac(path: Path, _: Sizes, __: Catalogue) -> ControlMarks:
     from photocal.exchange.micmac import PLACEHOLDER, read_ground_points, read_measures
 
     try:
         ground = read_ground_points(path)
     except PhotocalError:
-        return ControlFile(path, marks=read_measures(path))
+        return ControlMarks("", marks=read_measures(path))
     assumed = all(sigma == PLACEHOLDER for point in ground for sigma in point.sigma)
     if assumed:
         ground = tuple(replace(point, sigma=(ASSUMED_M[0], *ASSUMED_M)) for point in ground)
     points = object_points(ground)
-    return ControlFile(path, "local", points, assumed=frozenset(points.names if assumed else ()))
+    return ControlMarks("local", points, assumed=frozenset(points.names if assumed else ()))
 
 
-def _table(path: Path, sizes: Sizes, say: Catalogue) -> ControlFile:
+def _table(path: Path, sizes: Sizes, say: Catalogue) -> ControlMarks:
     """A table of points under any heads that people write, with a row for each point or for each mark."""
     for heads in _MARKED_HEADS:
         with contextlib.suppress(InputNotFoundError):
             degrees = in_degrees(path, besides=_IN_IMAGE["x"] + _IN_IMAGE["y"])
-            given = read_places(path, heads, tuple(_IN_IMAGE), degrees=degrees)
-            return _of_marked_table(given, sizes, say, degrees=degrees)
-    degrees = in_degrees(path)
-    given = read_places(path, HEADS, (), degrees=degrees)
-    index, names = given.table.names("point")
-    first, places = np.unique(index, return_index=True)[1], given.places
-    again = tuple(
-        _again(
-            given.table.place(row),
-            names[index[row]],
-            say,
-            same=bool((places[row] == places[first[index[row]]]).all()),
-        )
-        for row in range(len(given.table))
-        if first[index[row]] != row
-    )
-    control = _of_table(given, names, first, degrees=degrees)
-    return replace(control, refused=(*(row.said(say) for row in given.refused), *again))
+            return _of_marked_table(
+                *read_places(path, heads, tuple(_IN_IMAGE), say, degrees=degrees), sizes, say
+            )
+    table, places, given = read_places(path, HEADS, (), say, degrees=in_degrees(path))
+    index, names = table.names("point")
+    first = np.unique(index, return_index=True)[1]
+    again = [
+        _again(table.place(row), names[place], say, same=bool((places[row] == places[first[place]]).all()))
+        for row, place in enumerate(index.tolist())
+        if first[place] != row
+    ]
+    return _of_table(table, places[first], replace(given, refused=(*given.refused, *again)), first)
 
 
-def _of_marked_table(given: PlaceTable, sizes: Sizes, say: Catalogue, *, degrees: bool) -> ControlFile:
+def _of_marked_table(
+    table: TextTable, places: Floats, given: ControlMarks, sizes: Sizes, say: Catalogue
+) -> ControlMarks:
     """Points and marks of a table with a row for each mark; a row that contradicts one before is refused."""
-    table, places = given.table, given.places
     (index, names), (image, images) = table.names("point"), table.names("image")
     first = np.unique(index, return_index=True)[1]
     moved = np.any(places != places[first[index]], axis=1)
     pixels = from_corner(table.matrix("xy"))
-    marks, refused = dict[tuple[str, str], Mark](), [row.said(say) for row in given.refused]
+    marks, refused = dict[tuple[str, str], Mark](), list(given.refused)
     for row, (i, j, (x, y)) in enumerate(zip(image, index, pixels.tolist(), strict=True)):
         where, pair = table.place(row), (images[i], names[j])
         if moved[row]:
@@ -358,18 +322,13 @@ def _of_marked_table(given: PlaceTable, sizes: Sizes, say: Catalogue, *, degrees
             refused.append(say("new.mark_again", place=where, point=names[j], image=images[i]))
         else:
             marks[pair] = Mark(*pair, x, y, (BY_HAND_PX, BY_HAND_PX), where)
-    return replace(
-        _of_table(given, names, first, degrees=degrees),
-        marks=named_after(marks.values(), sizes),
-        rows=len(table) + len(given.refused),
-        refused=tuple(refused),
-    )
+    listed = replace(given, rows=len(table) + len(given.refused), refused=tuple(refused))
+    return _of_table(table, places[first], replace(listed, marks=named_after(marks.values(), sizes)), first)
 
 
-def _of_table(given: PlaceTable, names: tuple[str, ...], rows: Integers, *, degrees: bool) -> ControlFile:
+def _of_table(table: TextTable, places: Floats, given: ControlMarks, rows: Integers) -> ControlMarks:
     """Points of those rows of a table; what the table does not say of their precision is assumed."""
-    table, places = given.table, given.places[rows]
-    stated = table.has("sX")
+    names, stated = table.names("point")[1], table.has("sX")
     sigma = np.column_stack(
         [
             table.numbers(name, empty=assumed)[rows]
@@ -383,20 +342,10 @@ def _of_table(given: PlaceTable, names: tuple[str, ...], rows: Integers, *, degr
     sigma[np.array(roles) == "check"] = np.where(stated, sigma[np.array(roles) == "check"], np.inf)
     role = np.array([ROLES.index(name) for name in roles], dtype=np.int64)
     points = ObjectPoints(names, places, sigma, role)
-    system = given.crs if given.crs and not degrees else "EPSG:4326" if degrees else ""
-    return ControlFile(
-        table.path,
-        system,
-        points,
-        assumed=frozenset(() if stated else names),
-        unit_m=given.unit_m,
-        height=given.height,
-        height_head=given.height_head,
-        level=given.level,
-    )
+    return replace(given, points=points, assumed=frozenset(() if stated else names))
 
 
-def _bare_table(path: Path, sizes: Sizes, say: Catalogue) -> ControlFile:
+def _bare_table(path: Path, sizes: Sizes, say: Catalogue) -> ControlMarks:
     """Points without a head, or with one between blanks: name, east, north, height, as many export them."""
     pictures = {called.casefold() for name in sizes for called in (name, Path(name).stem)}
     # Coordinates of a cloud, times of a track.
@@ -443,18 +392,18 @@ def _bare_table(path: Path, sizes: Sizes, say: Catalogue) -> ControlFile:
     points = object_points(entries.values())
     refused += map(str, unreadable)
     assumed = frozenset(points.names)
-    return ControlFile(path, "", points, assumed=assumed, refused=tuple(refused), unordered=not headed)
+    return ControlMarks("", points, assumed=assumed, refused=tuple(refused), unordered=not headed)
 
 
 def _again(place: object, name: str, say: Catalogue, *, same: bool) -> str:
     return say("new.row_again" if same else "new.row_again_moved", place=place, name=name)
 
 
-def _marks(path: Path, sizes: Sizes, _: Catalogue) -> ControlFile:
-    return ControlFile(path, marks=read_any_marks(path, sizes))
+def _marks(path: Path, sizes: Sizes, _: Catalogue) -> ControlMarks:
+    return ControlMarks("", marks=read_any_marks(path, sizes))
 
 
-_READERS: dict[str, tuple[Callable[[Path, Sizes, Catalogue], ControlFile], ...]] = {
+_READERS: dict[str, tuple[Callable[[Path, Sizes, Catalogue], ControlMarks], ...]] = {
     ".xml": (_one_file, _micmac, _other_program),
     ".json": (_one_file,),
     ".psz": (_other_program,),

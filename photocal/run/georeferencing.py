@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,12 +15,11 @@ if TYPE_CHECKING:
     from photocal.accuracy.standard import Question
     from photocal.block.model import Block
     from photocal.georeferencing.direct import Calibration
-    from photocal.run.reading import BlockReader
 
 FIGURES = "check.json"
 
 
-def georeferencing_stage(project: Project, block: Path, read: BlockReader) -> Stage:
+def georeferencing_stage(project: Project, block: Path, read: Callable[[Path], Block]) -> Stage:
     """Describe the stage, which follows the one whose folder is `block`."""
     standards = [name for name in project.contents.judgement.standards if name.endswith(".toml")]
     return Stage(
@@ -32,7 +32,9 @@ def georeferencing_stage(project: Project, block: Path, read: BlockReader) -> St
     )
 
 
-def _make(project: Project, source: Path, folder: Path, show: Progress, read: BlockReader) -> None:
+def _make(
+    project: Project, source: Path, folder: Path, show: Progress, read: Callable[[Path], Block]
+) -> None:
     from photocal.accuracy.maps import reference_system
     from photocal.accuracy.standard import SHIPPED, load_standard
     from photocal.base.geopackage import changed_utc

@@ -11,10 +11,9 @@ from tomlkit.items import AoT
 from photocal.base.arrays import Flags
 from photocal.base.codec import toml_document
 from photocal.base.errors import ConfigurationError
-from photocal.base.files import output_file
+from photocal.base.files import write_file
 from photocal.block.model import ROLES, Block
 from photocal.findings.finding import Finding
-from photocal.measurement.tie_block import without_images
 from photocal.project import LeaveOutKeys
 
 _SECTION = "leave_out"
@@ -65,35 +64,8 @@ def _without(block: Block, ray: Flags, point: Flags, image: Flags) -> Block:
     rays = np.bincount(seen.point, minlength=len(point))
     lonely = (rays == 1) & (block.points.role != ROLES.index("control"))
     gone = point | ((lonely | (rays == 0)) & block.points.of_role("tie"))
-    seen = seen.rows(~(gone | lonely)[seen.point])
-    place, names = np.cumsum(~gone) - 1, block.points.names
-    relations, checks = (
-        part.moved(place).rows(~np.append(gone, False)[part.ends].any(axis=1)) if len(part.kind) else part
-        for part in (block.relations, block.check_distances)
-    )
-    staying = {name for name, out in zip(names, gone, strict=True) if not out}
-    left = replace(
-        block,
-        points=block.points.only(~gone),
-        observations=replace(seen, point=place[seen.point]),
-        relations=relations,
-        check_distances=checks,
-        lasers=block.lasers.of_points(place, ~gone),
-        datum_points=tuple(name for name in block.datum_points if name in staying),
-    )
-    return left if not image.any() else _of_images(left, image)
-
-
-def _of_images(block: Block, gone: Flags) -> Block:
-    """Without whole images: what was observed at their exposures goes with them, and strips without one."""
-    place = np.cumsum(~gone) - 1
-    positions = block.positions.rows(~gone[block.positions.image])
-    attitudes = block.attitudes.rows(~gone[block.attitudes.image])
-    _, strip = np.unique(positions.strip, return_inverse=True)
-    positions = replace(positions, image=place[positions.image], strip=strip.astype(np.int64))
-    attitudes = replace(attitudes, image=place[attitudes.image])
-    lasers = block.lasers.of_images(place, ~gone)
-    return replace(without_images(block, gone), positions=positions, attitudes=attitudes, lasers=lasers)
+    left = replace(block, observations=seen.rows(~lonely[seen.point])).of_points(~gone)
+    return left.of_images(~image) if image.any() else left
 
 
 def leave_out(path: Path, entry: LeaveOutKeys) -> None:
@@ -111,7 +83,7 @@ def leave_out(path: Path, entry: LeaveOutKeys) -> None:
     table = tomlkit.table()
     table.update(entry.model_dump(exclude_none=True))
     document[_SECTION].append(table)
-    _write(path, document)
+    write_file(path, tomlkit.dumps(document))
 
 
 def take_back(path: Path, entry: LeaveOutKeys) -> None:
@@ -124,7 +96,7 @@ def take_back(path: Path, entry: LeaveOutKeys) -> None:
         raise ConfigurationError(
             "is not in the list of data left out by hand", "check [[leave_out]]", where=path
         )
-    _write(path, document)
+    write_file(path, tomlkit.dumps(document))
 
 
 def _take_back(document: tomlkit.TOMLDocument, entry: LeaveOutKeys) -> bool:
@@ -138,8 +110,3 @@ def _take_back(document: tomlkit.TOMLDocument, entry: LeaveOutKeys) -> bool:
     if not listed:
         document.remove(_SECTION)
     return bool(same)
-
-
-def _write(path: Path, document: tomlkit.TOMLDocument) -> None:
-    with output_file(path) as aside:
-        aside.write_text(tomlkit.dumps(document), encoding="utf-8")

@@ -14,9 +14,9 @@ from photocal.base.policy import policy
 from photocal.block.model import NO_POINTS, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.findings.texts import Catalogue, catalogue
-from photocal.geometry.frames import system_of
+from photocal.geometry.frames import code_of, level_of, system_of, utm_zones
 from photocal.geometry.systems import MapSystem, at_place, called, heights_at, is_meant, missing_grids
-from photocal.measurement.control_review import alone, heights_apart, listed, stray_points, twins
+from photocal.measurement.control_review import alone, heights_apart, listed, stray_points, stray_text, twins
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.mark_frames import (
     AS_STORED,
@@ -28,7 +28,6 @@ from photocal.measurement.mark_frames import (
 from photocal.measurement.marks import ControlMarks, in_map_system, named_after, unit_m
 from photocal.measurement.place_tables import FOOT_M, SURVEY_FOOT_M
 from photocal.measurement.position_files import map_places
-from photocal.run.folder_survey import ControlFile
 from photocal.run.project_checks import FAR_FROM_PICTURES_M, check_place, unfit
 
 HEIGHTS = ("ellipsoidal", "orthometric", "local")
@@ -72,6 +71,15 @@ class NewProject:
     changes: tuple[str, ...] = ()
     say: Catalogue = field(default_factory=lambda: catalogue("en"))
 
+    def __post_init__(self) -> None:
+        """Refuse a kind of heights that is none."""
+        if self.height and self.height not in HEIGHTS:
+            raise ConfigurationError(
+                f"heights of the kind {self.height!r} are not known",
+                f"give {', '.join(HEIGHTS[:2])} or {HEIGHTS[2]}",
+                where="--height",
+            )
+
     @property
     def fixing(self) -> int:
         """Control points that two pictures and more show."""
@@ -80,48 +88,28 @@ class NewProject:
         return sum(count[name] >= 2 for name, used in zip(self.points.names, roles, strict=True) if used)
 
 
-@dataclass(frozen=True)
-class StatedControl:
-    """What a person has said of control beside its file: system, kind of heights, frame of the marks.
-
-    language: of what is said to that person.
-    """
-
-    crs: str = ""
-    height: str = ""
-    frame: MarkFrame | None = None
-    language: str = "en"
-
-    def __post_init__(self) -> None:
-        if self.height and self.height not in HEIGHTS:
-            raise ConfigurationError(
-                f"heights of the kind {self.height!r} are not known",
-                f"give {', '.join(HEIGHTS[:2])} or {HEIGHTS[2]}",
-                where="--height",
-            )
-
-
 def settle(
-    given: ControlFile | None,
-    told: StatedControl,
+    made: NewProject,
+    given: ControlMarks | None,
+    frame: MarkFrame | None,
     facts: Sequence[ImageFacts],
     folder: Mapping[str, Path],
     *,
     flown: bool,
-) -> NewProject:
+) -> None:
     """Settle what control of a folder is.
 
+    made: with the system and the kind of heights as far as a person says them.
+    frame: of the pictures that the marks were made in, where a person says it.
     folder: where the pictures lie, by name.
     flown: whether a flight log has positions.
     """
-    placed = [image for image in facts if image.has_position]
-    say = catalogue(told.language)
-    made = NewProject(crs=told.crs, height=told.height, say=say)
-    if given is not None and given.points is not None:
-        given = _as_stated(given, told, placed, made)
-        made.points, made.assumed = given.points or NO_POINTS, given.assumed
+    placed, say = [image for image in facts if image.has_position], made.say
+    if given is not None:
+        given = _as_stated(given, placed, made)
+        made.points, made.assumed = given.points, given.assumed
         made.rows, made.refused, made.level = given.rows, list(given.refused), given.level
-        _with_marks(made, given, told, facts, folder)
+        _with_marks(made, given, frame, facts, folder)
     matters = bool(placed) or flown
     # Nothing that is asked may be of no use.
     placeable = matters or made.fixing >= policy.fewest_control
@@ -130,37 +118,33 @@ def settle(
     if made.points.names:
         _with_place(made, given, placed)
         strays = stray_points(made.points, made.crs)
-        made.doubtful += [stray.said(say) for stray in strays]
-        gone = {stray.row for stray in strays}
-        here = made.points.only(np.array([k for k in range(len(made.points.names)) if k not in gone], int))
+        made.doubtful += [stray_text(stray, say) for stray in strays.values()]
+        here = made.points.only(~np.isin(np.arange(len(made.points.names)), list(strays)))
         told_of = (*twins(here, say), *heights_apart(here, say), *alone(made.marks, made.points, say))
         made.doubtful += [say("new.control_known", text=line) for line in told_of]
         if not matters and made.fixing < policy.fewest_control:
             made.missing.append(say("new.few_placing", n=made.fixing, fewest=policy.fewest_control))
     made.doubtful += [say("new.not_used", text=line) for line in made.refused]
-    return made
 
 
-def _as_stated(
-    given: ControlFile, told: StatedControl, placed: Sequence[ImageFacts], made: NewProject
-) -> ControlFile:
+def _as_stated(given: ControlMarks, placed: Sequence[ImageFacts], made: NewProject) -> ControlMarks:
     """Control with the unit, the order and the kind of heights that its table states, or pictures show."""
-    points, say, file = given.points or NO_POINTS, made.say, given.file.name
+    points, say, file = given.points, made.say, given.file.name
     if given.height:
         named = {"head": given.height_head, "file": file}
-        if not told.height:
+        if not made.height:
             made.height = given.height
             made.known.append(say("new.height_head", kind=say(f"new.kind.{given.height}"), **named))
-        elif told.height != given.height and told.height in HEIGHTS[:2]:
-            kind, other = (say(f"new.kind.{kind}") for kind in (told.height, given.height))
+        elif made.height != given.height and made.height in HEIGHTS[:2]:
+            kind, other = (say(f"new.kind.{kind}") for kind in (made.height, given.height))
             made.doubtful.append(say("new.height_contradicts", kind=kind, other=other, **named))
     if given.unit_m != 1.0:
         factor = np.where([[name in given.assumed] for name in points.names], 1.0, given.unit_m)
         metres = replace(points, values=points.values * given.unit_m, sigma=points.sigma * factor)
-        if _in_metres(metres, told.crs or given.crs, placed):
+        if _in_metres(metres, made.crs or given.crs, placed):
             points = metres
             made.known.append(say("new.units_taken", file=file, unit=_unit_named(given.unit_m, say)))
-    if given.unordered and placed and not told.crs and not _system_of(points, placed):
+    if given.unordered and placed and not made.crs and not _system_of(points, placed):
         turned = replace(points, values=points.values[:, [1, 0, 2]])
         if _system_of(turned, placed):
             points = turned
@@ -187,7 +171,7 @@ def _in_metres(metres: ObjectPoints, crs: str, placed: Sequence[ImageFacts]) -> 
     return bool(placed and _system_of(metres, placed))
 
 
-def _with_place(made: NewProject, given: ControlFile | None, placed: Sequence[ImageFacts]) -> None:
+def _with_place(made: NewProject, given: ControlMarks | None, placed: Sequence[ImageFacts]) -> None:
     """Name the slip of all points where they contradict the places of the pictures, which stops a run."""
     if not placed or given is None:
         return
@@ -202,8 +186,8 @@ def _with_place(made: NewProject, given: ControlFile | None, placed: Sequence[Im
 
 def _with_marks(
     made: NewProject,
-    given: ControlFile,
-    told: StatedControl,
+    given: ControlMarks,
+    frame: MarkFrame | None,
     facts: Sequence[ImageFacts],
     folder: Mapping[str, Path],
 ) -> None:
@@ -222,8 +206,8 @@ def _with_marks(
         # A picture may stand there under two names, with its ending and without.
         if here.setdefault((mark.image, mark.point), mark) is not mark:
             again.append(mark)
-    if told.frame is not None:
-        made.frame = told.frame
+    if frame is not None:
+        made.frame = frame
     elif here:
         found = choose_frame(list(here.values()), pictures, folder)
         if (not found.sure or found.chosen != AS_STORED) and not found.fractions:
@@ -262,21 +246,17 @@ def _frame(made: NewProject, choice: FrameChoice, *, useful: bool) -> MarkFrame:
     if choice.sure and choice.chosen == AS_STORED:
         return AS_STORED
     say = made.say
+    agree = {"n": choice.pairs, "percent": say.fixed(100 * best.miss, 1)} if choice.pairs else None
+    fits = say("new.marks_inside") if agree is None else say("new.marks_agree", **agree)
+    frame = choice.chosen.said(say)
     if choice.fractions:
-        fits = say("new.marks_inside")
-        if choice.pairs:
-            fits = say("new.marks_agree", n=choice.pairs, percent=say.fixed(100 * best.miss, 1))
-        made.known.append(say("new.marks_fractions", frame=choice.chosen.said(say), fits=fits))
+        made.known.append(say("new.marks_fractions", frame=frame, fits=fits))
         return choice.chosen
     as_stored = say("new.marks_outside", n=own.outside) if own.outside else say("new.marks_unfit")
     if not np.isnan(own.miss):
         percent = say.fixed(100 * own.miss, 1)
         as_stored = say("new.marks_differ", text=as_stored, n=choice.pairs, percent=percent)
     if choice.sure:
-        fits = say("new.marks_inside")
-        if choice.pairs:
-            fits = say("new.marks_agree", n=choice.pairs, percent=say.fixed(100 * best.miss, 1))
-        frame = choice.chosen.said(say)
         made.known.append(say("new.marks_converted", frame=frame, fits=fits, as_stored=as_stored))
         return choice.chosen
     if own.outside and not useful:
@@ -354,8 +334,7 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
             made.asked.append(say("new.crs_refused", text=refusal))
             return ""
         if moved is None:
-            authority = system.to_authority()
-            return ":".join(authority) if authority and not system.is_compound else text
+            return ("" if system.is_compound else code_of(system)) or text
         if wrong := unfit(moved.crs, say):
             local = say("new.or_local")
             made.asked.append(say("new.crs_unfit", text=text, wrong=wrong, or_local=local))
@@ -431,9 +410,8 @@ def _heights_of(crs: str) -> str:
 
 def _level(crs: str) -> str:
     """The plane of a compound system, by its code."""
-    plane = system_of(crs).sub_crs_list[0]
-    authority = plane.to_authority()
-    return ":".join(authority) if authority else str(plane.to_wkt())
+    plane = level_of(system_of(crs))
+    return code_of(plane) or str(plane.to_wkt())
 
 
 def _with_geoid(made: NewProject, placed: Sequence[ImageFacts]) -> None:
@@ -485,8 +463,7 @@ def _turned(places: Floats, placed: Sequence[ImageFacts]) -> bool | None:
 
 def zone_of(placed: Sequence[ImageFacts]) -> str:
     """UTM zone of the middle of the pictures."""
-    middle = np.mean([(image.longitude_deg, image.latitude_deg, 0.0) for image in placed], axis=0)
-    return in_map_system(ControlMarks("EPSG:4326", ObjectPoints(("middle",), middle[None]), ())).crs
+    return utm_zones(*np.mean([(image.latitude_deg, image.longitude_deg) for image in placed], axis=0))[0]
 
 
 def _system_of(points: ObjectPoints, placed: Sequence[ImageFacts]) -> str:

@@ -10,26 +10,26 @@ from pathlib import Path
 import numpy as np
 
 from photocal.base.errors import InputNotFoundError, OutputError, PhotocalError
-from photocal.base.files import output_file, rows_text
+from photocal.base.files import rows_text, write_file
 from photocal.base.policy import policy
-from photocal.block.model import NO_POINTS, ROLES, ObjectPoints
+from photocal.block.model import ROLES, ObjectPoints
 from photocal.block.network import OTHER_SURFACE_M
 from photocal.findings.digits import Number
 from photocal.findings.texts import Catalogue, catalogue, finding_text, plain
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.measurement.control_review import listed as some_names
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
-from photocal.measurement.maker_camera import HeadGroup, StatedCamera, group_cameras, stated_camera
-from photocal.measurement.mark_frames import AS_STORED, parse_frame
-from photocal.measurement.marks import named_after
+from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
+from photocal.measurement.mark_frames import AS_STORED, MarkFrame, parse_frame
+from photocal.measurement.marks import ControlMarks, named_after
 from photocal.measurement.picture_tests import judge_cameras, judge_pictures, told_beside
 from photocal.measurement.position_files import read_positions
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
-from photocal.run.camera_card import chosen_pictures
-from photocal.run.folder_survey import ASSUMED_M, ControlFile, FolderContents, survey
-from photocal.run.new_control import NewProject, StatedControl, settle
+from photocal.run.camera_card import ChosenPictures, chosen_pictures
+from photocal.run.folder_survey import ASSUMED_M, FolderContents, survey
+from photocal.run.new_control import NewProject, settle
 from photocal.run.renewed_project import answered_height, renewed, written_before
 
 PICTURES = "pictures.csv"
@@ -60,8 +60,8 @@ def new_project(
     """
     # Whoever has stated the kind of heights is not asked for it again.
     stated = height or (answered_height(folder) if again else "")
-    told = StatedControl(crs, stated, parse_frame(marks) if marks else None, language)
-    say = catalogue(language)
+    made_in, say = parse_frame(marks) if marks else None, catalogue(language)
+    made = NewProject(crs=crs, height=stated, say=say)
     seen = survey(folder, say, written_before(folder) if again else ())
     if not seen.pictures and not seen.logs:
         raise InputNotFoundError(
@@ -71,15 +71,12 @@ def new_project(
         )
     chosen = chosen_pictures(folder, seen.pictures, seen.events, say)
     seen.pictures, seen.events = chosen.pictures, list(chosen.events)
-    pictures, facts, frame = chosen.folder, chosen.facts, chosen.frame
-    control = _chosen(seen, facts)
-    text = _Text(folder, seen, facts, pictures, control, told, frame)
-    text.known += chosen.known
-    text.missing += chosen.missing
+    control = _chosen(seen, chosen.facts)
+    text = _Text(folder, seen, chosen, control, made, made_in)
     files = {NAME: "\n".join(text.lines()) + "\n"}
     if text.listed:
         files[PICTURES] = text.pictures_table()
-    if control is not None and control.points is not None:
+    if control is not None:
         files["control.csv"] = _points_table(text.control_points)
         if text.marks:
             columns = ("image", "point", "x", "y", "sx", "sy")
@@ -93,22 +90,19 @@ def new_project(
     changes: tuple[str, ...] = ()
     there = [name for name in files if (folder / name).exists()]
     if again and NAME in there:
-        moved = [name for name in files if name.endswith("marks.csv") and told.frame is not None]
+        moved = [name for name in files if name.endswith("marks.csv") and made_in is not None]
         files, changes = renewed(folder, files, moved)
     elif there:
         remedy = f"photocal new {folder} --again keeps your entries and adds new findings"
         raise OutputError("exists already", remedy, where=folder / there[0])
     for name, content in files.items():
-        with output_file(folder / name) as aside:
-            aside.write_text(content, encoding="utf-8", newline="\n")
-    made = text.control
+        write_file(folder / name, content)
     made.path, made.changes = folder / NAME, changes
     return made
 
 
-def _found(control: ControlFile) -> str:
-    points = 0 if control.points is None else len(control.points.names)
-    pictures = len({mark.image for mark in control.marks})
+def _found(control: ControlMarks) -> str:
+    points, pictures = len(control.points.names), len({mark.image for mark in control.marks})
     return f"{control.file.name} has {points} points and marks in {pictures} pictures: put them beside it"
 
 
@@ -118,25 +112,21 @@ def _paths(seen: FolderContents, pictures: Path | None) -> list[Path]:
     return [where / image.name for where in folders for image in seen.pictures[where]]
 
 
-def _chosen(seen: FolderContents, facts: Sequence[ImageFacts]) -> ControlFile | None:
+def _chosen(seen: FolderContents, facts: Sequence[ImageFacts]) -> ControlMarks | None:
     """The control of the folder: with marks in its pictures if there is such a file, else the first."""
     names = [image.name for image in facts]
     if not seen.control:
         return None
 
-    def shown(control: ControlFile) -> int:
+    def shown(control: ControlMarks) -> int:
         """Count the marks in pictures that are there."""
         return sum(mark.image in names for mark in named_after(control.marks, names))
 
-    def checks(control: ControlFile) -> int:
-        """Count the check points."""
-        return 0 if control.points is None else int(control.points.of_role("check").sum())
-
-    best = max(seen.control, key=lambda control: (shown(control), checks(control)))
+    best = max(seen.control, key=lambda control: (shown(control), control.points.of_role("check").sum()))
     if shown(best):
         return best
     tables = sorted(seen.marks, key=shown, reverse=True)
-    points = (best.points or NO_POINTS).names
+    points = best.points.names
     # Programs leave the same marks in several files.
     others = [table.marks for table in tables[::-1]]
     every = {(m.image, m.point): m for marks in (best.marks, *others) for m in marks if m.point in points}
@@ -150,14 +140,14 @@ class _Text:
         self,
         folder: Path,
         seen: FolderContents,
-        facts: Sequence[ImageFacts],
-        pictures: Path | None,
-        given: ControlFile | None,
-        told: StatedControl,
-        frame: HeadGroup | None = None,
+        chosen: ChosenPictures,
+        given: ControlMarks | None,
+        control: NewProject,
+        made_in: MarkFrame | None,
     ) -> None:
-        self.folder, self.seen, self.facts, self.pictures, self.given = folder, seen, facts, pictures, given
-        self.frame, self.say = frame, catalogue(told.language)
+        self.folder, self.seen, self.given, self.control, self.say = folder, seen, given, control, control.say
+        facts, pictures, frame = chosen.facts, chosen.folder, chosen.frame
+        self.facts, self.pictures, self.frame = facts, pictures, frame
         self.cameras, self.member = group_cameras(facts)
         if frame is not None:
             head_of = {path.name: head for path, head in frame.head.items()}
@@ -171,15 +161,16 @@ class _Text:
         self.placed = [image for image in facts if image.has_position]
         where = {path.name: path for path in _paths(seen, pictures)}
         stated = sum(np.isfinite(image.position_sigma_m).all() for image in self.placed)
-        told_of, placing, self.events = list[str](), facts, list[Path]()
+        told_of, self.events = list[str](), list[Path]()
+        placing: Sequence[ImageFacts] = facts
         if stated < len(facts) and not (seen.logs or seen.positions):
             self.events, placing = self._events(told_of)
-        self.control = settle(given, told, placing, where, flown=bool(seen.logs))
-        self.known, self.missing = self.control.known, self.control.missing
-        self.missing += told_of
-        self.asked = self.control.asked
-        self.crs, self.height = self.control.crs, self.control.height
-        self.control_points, self.marks = self.control.points, self.control.marks
+        settle(control, given, made_in, placing, where, flown=bool(seen.logs))
+        self.known, self.missing = control.known, control.missing
+        self.known += chosen.known
+        self.missing += [*told_of, *chosen.missing]
+        self.asked, self.crs, self.height = control.asked, control.crs, control.height
+        self.control_points, self.marks = control.points, control.marks
 
     def lines(self) -> Iterator[str]:
         """Give the whole file."""
@@ -285,7 +276,7 @@ class _Text:
         missing: what is said of others, and why they are not used.
         """
         names, usable, say = [image.name for image in self.facts], list[Path](), self.say
-        placing = self.facts
+        placing: Sequence[ImageFacts] = self.facts
         for path in self.seen.events:
             try:
                 listed = list(map(read_positions(path, names), self.facts))

@@ -16,19 +16,17 @@ from photocal.base.errors import ConfigurationError, InputMalformedError, Photoc
 from photocal.block.folder import read_block, read_relations
 from photocal.block.model import Block, ObjectPoints
 from photocal.block.network import ELLIPSOIDAL_M, block_frame
-from photocal.exchange.parts import PointEntry, object_points
 from photocal.exchange.source import read_json
 from photocal.findings.texts import Catalogue, catalogue
-from photocal.geometry.frames import reference_frame, require_geoid, system_of
+from photocal.geometry.frames import level_of, reference_frame, require_geoid, system_of, utm_zones
 from photocal.geometry.oriented_images import given_places
 from photocal.geometry.systems import heights_at, missing_grids
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
-from photocal.measurement.marks import ControlMarks, in_map_system, read_marks
+from photocal.measurement.marks import read_marks
 from photocal.measurement.picture_block import better_known, control_points, pictures_of_heads
 from photocal.measurement.position_files import map_places
-from photocal.measurement.tie_block import intersected, views_of
-from photocal.measurement.tracks import Tracks
+from photocal.measurement.tie_block import intersected, tracks_of, views_of
 from photocal.project import Project
 
 # How far control may lie from a base station, and from what pictures say of their place.
@@ -173,7 +171,7 @@ def unfit(crs: str, say: Catalogue) -> str:
         system = system_of(crs)
     except CRSError:
         return say("new.unfit_unknown")
-    level = system.sub_crs_list[0] if system.is_compound else system
+    level = level_of(system)
     if level.is_geocentric:
         return say("new.unfit_geocentric", name=level.name)
     if level.is_geographic:
@@ -186,9 +184,7 @@ def unfit(crs: str, say: Catalogue) -> str:
 def _proposal(place: Place | None) -> str:
     if place is None:
         return 'write the map system of the control points, such as "EPSG:31982"'
-    entry = PointEntry("place", "control", (place[1], place[0], 0.0), (1.0, 1.0, 1.0))
-    zone = in_map_system(ControlMarks("EPSG:4326", object_points([entry]), ())).crs
-    return f"write a map system, such as {zone} for the place of {place[2]}"
+    return f"write a map system, such as {utm_zones(*place[:2])[0]} for the place of {place[2]}"
 
 
 def _check_heights(project: Project, control: ObjectPoints) -> None:
@@ -269,15 +265,10 @@ def _away(latitude: float, longitude: float, crs: str, places: Floats) -> Floats
 
 def _neighbours(crs: str, latitude: float, longitude: float) -> Iterator[str]:
     """Zones at the place: of the same datum, and of WGS 84, north and south."""
-    from pyproj.aoi import AreaOfInterest
-    from pyproj.database import query_utm_crs_info
-
     datum = system_of(crs).name.split(" / ")[0]
     for name in dict.fromkeys((datum, "WGS 84")):
         for sign in (1, -1):
-            area = AreaOfInterest(longitude, sign * latitude, longitude, sign * latitude)
-            for info in query_utm_crs_info(name, area, contains=True):
-                yield f"{info.auth_name}:{info.code}"
+            yield from utm_zones(sign * latitude, longitude, name)
 
 
 def check_near(project: Project, control: ObjectPoints, places: Floats) -> None:
@@ -303,9 +294,7 @@ def check_rays(block: Block, control_file: Path | None, *, alike: bool = False) 
     frame = block_frame(block)
     rows = np.flatnonzero(~block.points.of_role("tie") & np.isfinite(block.points.values).all(axis=1))
     seen = block.observations
-    order = np.flatnonzero(np.isin(seen.point, rows))
-    order = order[np.argsort(seen.point[order], kind="stable")]
-    which, track = np.unique(seen.point[order], return_inverse=True)
+    which, tracks = tracks_of(seen, np.isin(seen.point, rows))
     if not len(rows):
         return
     wrong = ConfigurationError.at(control_file)
@@ -314,9 +303,8 @@ def check_rays(block: Block, control_file: Path | None, *, alike: bool = False) 
             f"none of the {len(rows)} surveyed points is measured in an image",
             f"are the names the same? The table has {block.points.names[rows[0]]}",
         )
-    tracks = Tracks(track, seen.image[order], seen.values[order], np.ones(len(order)))
     met = given_places(frame, intersected(views_of(block, frame), tracks))
-    good = np.isfinite(met).all(axis=1) & (np.bincount(track, minlength=len(which)) >= 2)
+    good = np.isfinite(met).all(axis=1) & (tracks.rays >= 2)
     if good.sum() < FEWEST:
         return
     met, survey, roles = met[good], block.points.values[which[good]], which[good]

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photocal.base.arrays import Flags
 from photocal.base.errors import IllPosedError
 from photocal.block.model import Block, Images, ObjectPoints
 from photocal.exchange.parts import Mark
@@ -19,6 +18,7 @@ from photocal.measurement.orientation import Orientation
 
 # So many points orient an image of which nothing is known, or which has start values.
 FEWEST_UNKNOWN, FEWEST_STARTED = 4, 3
+TooFew = dict[str, str | int]
 
 
 @dataclass(frozen=True)
@@ -37,29 +37,18 @@ class Residual:
 
 
 @dataclass(frozen=True)
-class TooFewMarks:
-    """An image that takes no part: marks of control points that it has, and that it needs."""
-
-    image: str
-    marks: int
-    needed: int
-
-    def __str__(self) -> str:
-        return f"{self.image} has {self.marks} of {self.needed} marks of control points that it needs"
-
-
-@dataclass(frozen=True)
 class AdjustedMarks:
     """What an adjustment of marks found.
 
     orientation: improved where images took part.
     sigma0: A posteriori standard deviation of unit weight; None without redundancy.
+    left_out: images that take no part, with the marks of control points that they have and need.
     """
 
     residuals: tuple[Residual, ...]
     orientation: Orientation
     sigma0: float | None
-    left_out: tuple[TooFewMarks, ...]
+    left_out: tuple[TooFew, ...]
 
 
 def adjust_marks(orientation: Orientation, points: ObjectPoints, marks: Sequence[Mark]) -> AdjustedMarks:
@@ -101,7 +90,7 @@ def adjust_marks(orientation: Orientation, points: ObjectPoints, marks: Sequence
 
 def block_of_marks(
     orientation: Orientation, points: ObjectPoints, marks: Sequence[Mark]
-) -> tuple[Block, tuple[TooFewMarks, ...]]:
+) -> tuple[Block, tuple[TooFew, ...]]:
     """Make the block of those marks that can be adjusted."""
     none, free = np.zeros(len(PARAMETERS), dtype=np.bool_), np.full(len(PARAMETERS), np.inf)
     cameras = tuple(
@@ -127,8 +116,8 @@ def block_of_marks(
     needed = np.where(observed, 0, np.where(started, FEWEST_STARTED, FEWEST_UNKNOWN))
     marked = np.bincount(seen.image, minlength=len(control)) > 0
     usable = marked & (control >= needed)
-    left_out = tuple(
-        TooFewMarks(whole.images.names[i], int(control[i]), int(needed[i]))
+    left_out: tuple[TooFew, ...] = tuple(
+        {"image": whole.images.names[i], "marks": int(control[i]), "needed": int(needed[i])}
         for i in np.flatnonzero(marked & ~usable)
     )
     ray = usable[seen.image]
@@ -136,19 +125,11 @@ def block_of_marks(
     held = (count > 0) & (points.of_role("control") | (count > 1))
     ray &= held[seen.point]
     if not (ray & of_control).any():
+        few = "{image} has {marks} of {needed} marks of control points that it needs"
         raise IllPosedError(
-            "no image has enough marks for an adjustment" + (f": {left_out[0]}" if left_out else ""),
+            ": ".join(
+                ["no image has enough marks for an adjustment", *(few.format(**e) for e in left_out[:1])]
+            ),
             "mark control points in more images",
         )
-    return _only(whole, usable, held, ray), left_out
-
-
-def _only(block: Block, image: Flags, point: Flags, ray: Flags) -> Block:
-    """Keep some images, points and rays of a block."""
-    i, j, seen = np.cumsum(image) - 1, np.cumsum(point) - 1, block.observations.rows(ray)
-    return replace(
-        block,
-        images=block.images.some(np.flatnonzero(image)),
-        points=block.points.only(point),
-        observations=replace(seen, image=i[seen.image], point=j[seen.point]),
-    )
+    return replace(whole, observations=seen.rows(ray)).of_images(usable).of_points(held), left_out

@@ -219,7 +219,7 @@ class MarkingService:
         with ProcessPoolExecutor(1, get_context("spawn")) as pool:
             adjusted = pool.submit(adjust_marks, scene.orientation, scene.points, marks).result()
         self._adjusted, self._adjusted_marks = adjusted, {(m.image, m.point): (m.x, m.y) for m in marks}
-        return self.state() | {"left_out": [vars(image) for image in adjusted.left_out]}
+        return self.state() | {"left_out": list(adjusted.left_out)}
 
     def _picture(self, name: str) -> Picture:
         picture = self._scene.pictures.get(name)

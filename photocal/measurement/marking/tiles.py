@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from photocal.base.errors import InputNotFoundError
-from photocal.base.files import digest, output_file
+from photocal.base.files import digest, write_file
 from photocal.measurement.features import sweep, touch
 from photocal.measurement.image_file import as_eight_bit, as_stored, opened, read_grey
 
@@ -67,8 +67,7 @@ class Tiles:
             content = kept.read_bytes()
         except OSError:
             made = self._make(picture, key, level, column, row)
-            with output_file(kept) as aside:
-                aside.write_bytes(made)
+            write_file(kept, made)
             self._written += len(made)
             return made
         touch(kept, time.time())

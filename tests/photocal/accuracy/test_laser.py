@@ -10,7 +10,6 @@ from photocal.accuracy.discrepancies import (
     LASER_M,
     LASER_SHARE,
     LaserCheck,
-    LaserShots,
     check_laser,
     laser_finding,
 )
@@ -46,7 +45,8 @@ def flown(seed: int, bias_m: float = 0.0, scale: float = 0.0, gaps: float = 0.15
         distance + rng.normal(0, 0.05, n) + rng.normal(0, LASER_M) + distance * rng.normal(0, LASER_SHARE)
     )
     surface[:, 2] += bias_m
-    check = check_laser(LaserShots(station, direction, measured * (1 + scale)), surface)
+    told = measured * (1 + scale)
+    check = check_laser(station + told[:, None] * direction, told, surface)
     assert check is not None
     return check
 
@@ -86,8 +86,8 @@ def test_a_c_that_is_not_known_excuses_its_heights() -> None:
     rng = np.random.default_rng(2)
     ties = np.column_stack([rng.uniform(-50, 50, (4000, 2)), np.zeros(4000)])
     station = np.column_stack([rng.uniform(-40, 40, (30, 2)), np.full(30, 70.0)])
-    shots = LaserShots(station, np.tile([0.0, 0.0, -1.0], (30, 1)), np.full(30, 71.0))
-    known, unknown = check_laser(shots, ties), check_laser(shots, ties, 0.02)
+    distance = np.full(30, 71.0)
+    known, unknown = (check_laser(station - [0.0, 0.0, 71.0], distance, ties, share) for share in (0.0, 0.02))
     assert known is not None
     assert unknown is not None
     assert known.bias_m == pytest.approx(1.0, abs=1e-6)
@@ -97,7 +97,7 @@ def test_a_c_that_is_not_known_excuses_its_heights() -> None:
 
 def test_too_few_shots_say_nothing() -> None:
     none = np.zeros((0, 3))
-    assert check_laser(LaserShots(none, none, np.zeros(0)), np.zeros((100, 3))) is None
+    assert check_laser(none, np.zeros(0), np.zeros((100, 3))) is None
     found = laser_finding(None, 3)
     assert (found.severity, found.cause) == ("untested", "few-laser-shots")
     assert finding_text(found, catalogue("en"), plain).startswith("3 laser distances")

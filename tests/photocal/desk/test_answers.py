@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from photocal.debrief.verdict import CombinedCheck, Debrief, debrief_json
+from photocal.debrief.verdict import Debrief, debrief_json
 from photocal.desk import project_file
 from photocal.desk.jobs import FOLDER, Job, error_of
 from photocal.desk.running import told_stages
@@ -352,7 +352,7 @@ def test_verdict_and_debrief_are_said_in_the_language_of_the_window(
 ) -> None:
     folder = Path(shutil.copytree(finished, home / "flown"))
     good(window.post("/api/open", {"path": "flown"}))
-    complete = Debrief(Finding("flight-complete", "passed"), (), (), None, CombinedCheck())
+    complete = Debrief(Finding("flight-complete", "passed"), (), ())
     (folder / "work" / "debrief.json").write_text(json.dumps(debrief_json(complete)))
 
     def told(language: str) -> tuple[str, str, str, str]:

@@ -8,7 +8,7 @@ from pyproj import Transformer
 
 from photocal.block.model import ObjectPoints
 from photocal.findings.texts import catalogue
-from photocal.measurement.control_review import heights_apart, stray_points, twins
+from photocal.measurement.control_review import heights_apart, stray_points, stray_text, twins
 
 SAY = catalogue("en")
 PLACES = np.array([[634600.0 + 40 * k, 485300.0 - 25 * (k % 3), 110.0 + k] for k in range(6)])
@@ -20,7 +20,7 @@ def points(places: np.ndarray) -> ObjectPoints:
 
 
 def test_a_site_as_it_should_be() -> None:
-    assert stray_points(points(PLACES), "EPSG:2180") == ()
+    assert stray_points(points(PLACES), "EPSG:2180") == {}
     assert [*twins(points(PLACES), SAY), *heights_apart(points(PLACES), SAY)] == []
 
 
@@ -38,16 +38,16 @@ def test_a_slip_is_named_and_a_wrong_digit_has_none(slip: str) -> None:
         places[2, :2] = way.transform(*places[2, :2])
     places[4, 0] += 100_000.0
     found = stray_points(points(places), "EPSG:31982")
-    assert [one.row for one in found] == [2, 4]
-    assert f"from the others: {slip}" in found[0].said(SAY)
-    assert found[1].slip == ""
-    assert found[1].away_m == pytest.approx(100_000, rel=0.01)
+    assert list(found) == [2, 4]
+    assert f"from the others: {slip}" in stray_text(found[2], SAY)
+    assert found[4].clauses == ()
+    assert found[4].figures["km"] == pytest.approx(100, rel=0.01)
 
 
 def test_two_heaps_of_which_neither_is_the_site() -> None:
     places = PLACES.copy()
     places[:3, 0] += 90_000.0
-    assert stray_points(points(places), "EPSG:2180") == ()
+    assert stray_points(points(places), "EPSG:2180") == {}
 
 
 def test_twins_and_heights() -> None:

@@ -20,7 +20,7 @@ from photocal.measurement.image_file import list_images
 from photocal.measurement.orientation import of_exposures
 from photocal.measurement.patch_matching import ImageSource
 from photocal.measurement.plain_targets import (
-    PlainMarks,
+    FoundTargets,
     find_plain_targets,
     predicted_targets,
     targets_of_project,
@@ -149,7 +149,7 @@ def _sources(field: Field, cache: Path) -> list[ImageSource]:
     return [ImageSource(path, digest(path), cache) for path in list_images(field.folder / "images")]
 
 
-def _found(field: Field, cache: Path, project: Project | None = None, images: int = 8) -> PlainMarks:
+def _found(field: Field, cache: Path, project: Project | None = None, images: int = 8) -> FoundTargets:
     own = project or field.project
     return find_plain_targets(
         _sources(field, cache)[:images],
@@ -162,11 +162,11 @@ def _found(field: Field, cache: Path, project: Project | None = None, images: in
 
 
 @pytest.fixture(scope="module")
-def found(field: Field, tmp_path_factory: pytest.TempPathFactory) -> PlainMarks:
+def found(field: Field, tmp_path_factory: pytest.TempPathFactory) -> FoundTargets:
     return _found(field, tmp_path_factory.mktemp("cache"))
 
 
-def test_targets_are_found_where_the_truth_is(field: Field, found: PlainMarks) -> None:
+def test_targets_are_found_where_the_truth_is(field: Field, found: FoundTargets) -> None:
     errors = np.array([np.subtract((m.x, m.y), field.truth(m.image, m.point)) for m in found.marks])
     sigma = np.array([m.sigma for m in found.marks])
     assert np.abs(errors).max() < 0.1
@@ -185,14 +185,14 @@ def test_targets_are_found_where_the_truth_is(field: Field, found: PlainMarks) -
         assert {m.place for m in found.marks if m.point == point} == {KINDS[point]}
 
 
-def test_an_absent_target_is_not_found(found: PlainMarks) -> None:
-    assert found.sought > len(found.marks)
+def test_an_absent_target_is_not_found(found: FoundTargets) -> None:
+    assert found.record["predicted"] > len(found.marks)
     assert "P5" not in {m.point for m in found.marks}
 
 
-def test_what_is_in_doubt_is_refused(found: PlainMarks) -> None:
+def test_what_is_in_doubt_is_refused(found: FoundTargets) -> None:
     assert not {m.point for m in found.marks} & {"P6", "P7", "P8"}
-    said = sorted(found.ambiguous)
+    said = sorted(found.record["ambiguous"])
     assert [text[:9] for text in said] == ["point P6:", "point P7:", "point P8:"]
     assert said[0].startswith("point P6: 2 targets fit it in p")
     assert said[1].startswith("point P7: its target fits P8, too, in p")
@@ -218,8 +218,8 @@ def test_targets_too_small_to_be_told_from_specks_are_named(field: Field, tmp_pa
         2,
     )
     assert found.marks == ()
-    assert found.sought == 0
-    said = dict(text.split(": ", 1) for text in found.too_small)
+    assert found.record["predicted"] == 0
+    said = dict(text.split(": ", 1) for text in found.record["too_small"])
     assert "point P1" in said
     assert re.fullmatch(r"its cross appears \d\.\d px wide at most, 12 px are needed", said["point P1"])
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from pyproj import Transformer
 
+from photocal.findings.texts import catalogue
 from photocal.measurement.marks import read_marks
 from photocal.measurement.place_tables import read_places
 from photocal.run.folder_survey import HEADS
@@ -337,5 +338,5 @@ def test_results_of_mmvii_are_called_so(folder: Path, photocal: Photocal) -> Non
 def test_o_is_east_in_german_and_west_in_portuguese(heads: str, longitude: float, tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_text(f"{heads}\nA;13°24'00\" O;52°30'00\" N;34,5\n", encoding="utf-8")
-    (place,) = read_places(path, HEADS, (), degrees=True).places
+    _, (place,), _ = read_places(path, HEADS, (), catalogue("en"), degrees=True)
     assert place == pytest.approx([longitude, 52.5, 34.5])

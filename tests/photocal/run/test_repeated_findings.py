@@ -18,6 +18,7 @@ import pytest
 
 from photocal.analysis.analyse_run import analyse_run
 from photocal.base.progress import quiet
+from photocal.block.folder import read_block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json
 from photocal.project import Project, read_project
@@ -26,7 +27,6 @@ from photocal.report.issue import issue
 from photocal.results.adjusted import adjust_block
 from photocal.run.calibration import certificate_stage
 from photocal.run.georeferencing import georeferencing_stage
-from photocal.run.reading import block_reader
 from photocal.run.summary import gather
 from tests.photocal.conftest import Answer
 from tests.photocal.georeferencing.flights import Plan, fly
@@ -66,7 +66,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Project:
     analyse_run(work / "analysis", work / "block")
     (work / "georeferencing").mkdir()
     read = read_project(folder / "project.toml")
-    georeferencing_stage(read, work / "block", block_reader()).make(work / "georeferencing", quiet)
+    georeferencing_stage(read, work / "block", read_block).make(work / "georeferencing", quiet)
     return read
 
 
