@@ -52,9 +52,9 @@ NAMES = frozenset(
 # Their answer has no words of a language: keys of a TOML file, or a page alone.
 WORDLESS = {"radiometry"}
 # They still print English.
-ENGLISH = {"localise", "volume", "ortho", "contours", "rover-test"}
+ENGLISH = {"localise", "volume"}
 # They have tests of their own: with data of a flight (`test_guide`), or of what the machine has.
-ELSEWHERE = {"new", "run", "debrief", "ppk", "exposures", "survey", "doctor", "fetch-grids", "check"}
+ELSEWHERE = {"ortho", "new", "run", "debrief", "ppk", "exposures", "survey", "doctor", "fetch-grids", "check"}
 
 
 @cache
@@ -105,6 +105,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     named("opf").write(folder / "projeto", made_of("brown-ideal", tmp_path_factory), Choices())
     cameras = (STUDIES / "canon-elph" / "calibrations.toml").read_text(encoding="utf-8").split("[[camera]]")
     (folder / "cameras.toml").write_text("[[camera]]".join(cameras[:3]), encoding="utf-8")
+    sets = (f"1,{n},{p},{10 * p + 0.004 * n},5,{7 + 0.2 * p}" for n in range(1, 6) for p in (1, 2))
+    (folder / "sets.csv").write_text("\n".join(["series,set,point,E,N,h", *sets]) + "\n", encoding="utf-8")
+    hill = (f"{x},{y},{0.1 * x + 0.02 * y * y}" for x in range(9) for y in range(9))
+    (folder / "hill.csv").write_text("\n".join(["X,Y,Z", *hill]) + "\n", encoding="utf-8")
     (folder / "area.csv").write_text("lat_deg,lon_deg\n-22.12,-51.41\n-22.12,-51.408\n-22.1215,-51.408\n")
     return folder
 
@@ -132,6 +136,8 @@ CASES = (
     "measure --images fotos --board 7x5 --charuco 4x4_50 -o tabuleiro",
     "mark --images fotos -o marks.csv",
     "desk .",
+    "rover-test sets.csv --distance 10 --height-difference 0.2 --sigma 0.010,0.015",
+    "contours hill.csv --interval 0.5 -o curvas.dxf --cell 0.5 --heights local",
     "forms -o forms.pdf --kinds station",
     "targets disc -o disc.pdf",
     "study",
