@@ -198,6 +198,18 @@ AsJson = Annotated[bool, option("Print the figures as JSON.", "--json")]
 Language = Annotated[
     str, option("Language of the texts: en or pt-BR; default: that of LANG.", "--lang", "--language")
 ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answering(Options):
+    """How a command answers: in which language, or as JSON."""
+
+    language: Annotated[
+        str, Option("Language of the texts: en or pt-BR; default: that of LANG.", ("--lang", "--language"))
+    ] = ""
+    as_json: Annotated[bool, Option("Print the figures as JSON.", ("--json",))] = False
+
+
 Details = Annotated[bool, option("Print all tests, figures and findings, not only the verdict.", "--details")]
 Address = Annotated[str, option("HOST:PORT of the page. Beyond this computer the page demands a token.")]
 

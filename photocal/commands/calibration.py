@@ -10,11 +10,22 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
 from photocal.analysis.options import AnalysisOptions, PublishedOptions
-from photocal.base.console import AsJson, Details, Language, answer, argument, option, progress, spread
+from photocal.base.console import (
+    Answering,
+    AsJson,
+    Details,
+    Language,
+    answer,
+    argument,
+    option,
+    progress,
+    spread,
+)
 from photocal.base.errors import ConfigurationError
 from photocal.report.options import CertificateOptions
 
 
+@spread
 def adjust(
     block: Annotated[
         Path,
@@ -39,8 +50,8 @@ def adjust(
     joint: Annotated[
         str, option("Write the joint covariance of `image:NAME,point:NAME,camera:ID,head:CAMERA,mounting`.")
     ] = "",
-    language: Language = "",
-    as_json: Annotated[bool, option("Print result.json instead of a summary.", "--json")] = False,
+    *,
+    answering: Answering,
 ) -> None:
     """Adjust a block: camera, orientations and points with their complete statistics.
 
@@ -61,9 +72,9 @@ def adjust(
     wanted = Wanted(ellipses, reliability, components, parse_joint(joint))
     compile_ahead()
     result = adjust_block(block, output, test, iteration_lines("adjusting"), wanted, read_any_block)
-    say = catalogue(spoken(language))
+    say = catalogue(spoken(answering.language))
     written = say("result.written", place=output)
-    answer(as_json, lambda: result_json(result), lambda: f"{result.text(say)}\n{written}")
+    answer(answering.as_json, lambda: result_json(result), lambda: f"{result.text(say)}\n{written}")
 
 
 def iteration_lines(title: str) -> Callable[[Any], None]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from photocal.base.console import Address, Language, answer, argument, option, printable, progress
+from photocal.base.console import Address, Answering, answer, argument, option, printable, progress, spread
 from photocal.base.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from photocal.measurement.marking.store import MarkStore, Scene
 
 
+@spread
 def mark(
     project: Annotated[
         Path | None, argument("Project file: pictures, control points and where marks are kept.")
@@ -29,10 +30,12 @@ def mark(
     ] = None,
     address: Address = "127.0.0.1:8750",
     cache: Annotated[Path | None, option("Folder for tiles; ~/.cache/photocal when not given.")] = None,
-    language: Language = "",
-    as_json: Annotated[bool, option("Print what is marked as JSON, and show no page.", "--json")] = False,
+    *,
+    answering: Answering,
 ) -> None:
     """Mark control and check points in the images on a local web page; every mark is saved at once.
+
+    With --json what is marked is printed, and no page is shown.
 
     Example: `photocal mark PROJECT.toml`; without a project
     `photocal mark --images photos --points points.csv -o marks.csv`.
@@ -42,10 +45,10 @@ def mark(
 
     scene, path = _scene(project, images, points, output, run)
     store = MarkStore(path)
-    if as_json:
+    if answering.as_json:
         answer(True, lambda: _figures(scene, store), str)
     else:
-        say = catalogue(spoken(language))
+        say = catalogue(spoken(answering.language))
         _show(project, run, scene, store, address, cache, say)
 
 
@@ -111,6 +114,7 @@ def _show(
         stop.wait()
 
 
+@spread
 def targets(
     kind: Annotated[
         str,
@@ -124,8 +128,8 @@ def targets(
     board: Annotated[str, option("Squares of a board in a row and in a column.")] = "10x7",
     charuco: Annotated[str, option("Marker dictionary of a ChArUco board.")] = "4x4_50",
     paper: Annotated[str, option("a4, a3, a2, a1 or a0.")] = "a4",
-    language: Language = "",
-    as_json: Annotated[bool, option("Print what was written as JSON.", "--json")] = False,
+    *,
+    answering: Answering,
 ) -> None:
     """Write target sheets as PDF, true to scale, for all targets that `photocal measure` reads.
 
@@ -150,9 +154,9 @@ def targets(
         aside.write_bytes(content)
     titles = [sheet.title for sheet in sheets]
     answer(
-        as_json,
+        answering.as_json,
         lambda: {"file": str(output), "sheets": titles},
-        lambda: "\n".join([*titles, catalogue(spoken(language))("marked.print", file=output)]),
+        lambda: "\n".join([*titles, catalogue(spoken(answering.language))("marked.print", file=output)]),
     )
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from photocal.base.console import Language, answer, argument, option, printable, progress
+from photocal.base.console import Answering, Language, answer, argument, option, printable, progress, spread
 from photocal.base.errors import (
     ConfigurationError,
     InputMalformedError,
@@ -135,6 +135,7 @@ def sign(
     )
 
 
+@spread
 def verify(
     certificate: Annotated[
         Path,
@@ -159,8 +160,8 @@ def verify(
     issued: Annotated[
         Path | None, option("Journal of the issuer that must have this certificate.", "--journal")
     ] = None,
-    language: Language = "",
-    as_json: Annotated[bool, option("Print the outcome as JSON.", "--json")] = False,
+    *,
+    answering: Answering,
 ) -> None:
     """Repeat a certificate from its inputs, compare every figure and page, and judge its signature.
 
@@ -177,9 +178,9 @@ def verify(
     """
     from photocal.findings.texts import catalogue, spoken
 
-    say = catalogue("en" if as_json else spoken(language))
+    say = catalogue("en" if answering.as_json else spoken(answering.language))
     if certificate.suffix == ".toml":
-        _printed(certificate, as_json, say)
+        _printed(certificate, answering.as_json, say)
         return
     from photocal.base.arrays import as_plain
     from photocal.base.files import digest
@@ -229,7 +230,7 @@ def verify(
     untold = () if findings is None else findings.untold
     taken = [*stated_by_issuer(certified), *(() if findings is None else findings.taken)]
     answer(
-        as_json,
+        answering.as_json,
         lambda: {
             "number": certified["number"],
             "verified": not problems,
