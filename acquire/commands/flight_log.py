@@ -23,7 +23,7 @@ def import_(
     output: Annotated[Path, option("Flight log to write (.mcap).", "-o", "--output")],
     files: Annotated[
         list[Path] | None,
-        argument("Recordings: .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg, .mrk; gzip too.", metavar="[FILE]..."),
+        argument("Recordings: .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg, .mrk; gzip too.", metavar="FILE"),
     ] = None,
     link: Annotated[
         list[str] | None, option("Recording with the name of its link.", metavar="NAME=FILE")

@@ -17,6 +17,7 @@ from scipy import stats
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.text_tables import read_table
+from photocal.findings.texts import Catalogue
 
 SCHEMA = "photocal.rover-test/1"
 SERIES, SETS, POINTS = 3, 5, 2
@@ -147,45 +148,38 @@ def _compared(what: str, s_m: float, against_m: float, least_m: float, most_m: f
     return {"what": what, "s_m": s_m, "against_m": against_m, **bounds}
 
 
-def as_text(test: dict[str, Any]) -> str:
+def as_text(test: dict[str, Any], say: Catalogue) -> str:
     """Write a test for people, mm."""
     from photocal.findings.document import Paragraph, Section, table, text
 
-    kind = "full" if test["full"] else "simplified"
+    kind = say("rover.full" if test["full"] else "rover.simplified")
     rows = [
         (
             one["series"],
             one["set"],
-            f"{1e3 * one['distance_m']:+.1f}",
-            f"{1e3 * one['height_m']:+.1f}",
-            "" if one["within"] else "gross",
+            *say.row((1e3 * one["distance_m"], 1e3 * one["height_m"]), "+.1f").split(" "),
+            "" if one["within"] else say("rover.gross"),
         )
         for one in test["deviations"]
     ]
-    limit = f"limits {1e3 * test['limit_distance_m']:.1f} and {1e3 * test['limit_height_m']:.1f} mm"
-    pieces = [
-        table(f"{kind} test after ISO 17123-8, mm", ("series", "set", "distance", "height", ""), rows, limit)
-    ]
+    limits = {"distance": 1e3 * test["limit_distance_m"], "height": 1e3 * test["limit_height_m"]}
+    heads, note = say("rover.heads").split("|"), say.told("rover.limits", **limits)
+    pieces = [table(say("rover.title", kind=kind), heads, rows, note)]
     if test["full"]:
         figures = {"E": "s_e_m", "N": "s_n_m", "plane": "s_xy_m", "h": "s_h_m"}
-        said = ", ".join(f"s({name}) {1e3 * test[key]:.1f}" for name, key in figures.items())
-        pieces.append(
-            table(
-                f"{said} mm with {test['degrees_of_freedom']} degrees of freedom for each coordinate",
-                ("", "s, mm", "against", "from", "to", ""),
-                [
-                    (
-                        one["what"],
-                        *(f"{1e3 * one[key]:.1f}" for key in ("s_m", "against_m", "least_m", "most_m")),
-                        "passed" if one["passed"] else "NOT passed",
-                    )
-                    for one in test["tests"]
-                ],
-            )
+        said = say("join.figures").join(
+            f"s({say.stored(name)}) {say.row([1e3 * test[key]], '.1f')}" for name, key in figures.items()
         )
-    verdict = (
-        "the rover passes"
-        if test["passed"]
-        else "the rover does not pass: look at base, mounting and antenna"
-    )
+        sizes = ("s_m", "against_m", "least_m", "most_m")
+        tests = [
+            (
+                say.stored(one["what"]),
+                *say.row((1e3 * one[key] for key in sizes), ".1f").split(" "),
+                say("rover.within" if one["passed"] else "rover.beyond"),
+            )
+            for one in test["tests"]
+        ]
+        title = say("rover.sigmas", figures=said, freedom=test["degrees_of_freedom"])
+        pieces.append(table(title, say("rover.tests_heads").split("|"), tests))
+    verdict = say("rover.passes" if test["passed"] else "rover.fails")
     return text([Section("", (*pieces, Paragraph(verdict)))])

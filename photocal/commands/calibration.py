@@ -10,11 +10,22 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
 from photocal.analysis.options import AnalysisOptions, PublishedOptions
-from photocal.base.console import AsJson, Details, Language, answer, argument, option, progress, spread
+from photocal.base.console import (
+    Answering,
+    AsJson,
+    Details,
+    Language,
+    answer,
+    argument,
+    option,
+    progress,
+    spread,
+)
 from photocal.base.errors import ConfigurationError
 from photocal.report.options import CertificateOptions
 
 
+@spread
 def adjust(
     block: Annotated[
         Path,
@@ -39,7 +50,8 @@ def adjust(
     joint: Annotated[
         str, option("Write the joint covariance of `image:NAME,point:NAME,camera:ID,head:CAMERA,mounting`.")
     ] = "",
-    as_json: Annotated[bool, option("Print result.json instead of a summary.", "--json")] = False,
+    *,
+    answering: Answering,
 ) -> None:
     """Adjust a block: camera, orientations and points with their complete statistics.
 
@@ -47,6 +59,7 @@ def adjust(
     """
     from photocal.base.compiled import compile_ahead
     from photocal.exchange.formats import read_any_block
+    from photocal.findings.texts import catalogue, spoken
     from photocal.results.adjusted import adjust_block
     from photocal.results.folder import result_json
     from photocal.results.more_tables import Wanted, parse_joint
@@ -59,7 +72,9 @@ def adjust(
     wanted = Wanted(ellipses, reliability, components, parse_joint(joint))
     compile_ahead()
     result = adjust_block(block, output, test, iteration_lines("adjusting"), wanted, read_any_block)
-    answer(as_json, lambda: result_json(result), lambda: f"{result!r}\nwritten to {output}")
+    say = catalogue(spoken(answering.language))
+    written = say("result.written", place=output)
+    answer(answering.as_json, lambda: result_json(result), lambda: f"{result.text(say)}\n{written}")
 
 
 def iteration_lines(title: str) -> Callable[[Any], None]:

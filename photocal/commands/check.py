@@ -356,6 +356,7 @@ def rover_test(
     height_difference: Annotated[float, option("Known height of the second point over the first, m.")],
     sigma: Annotated[str, option("Stated standard deviations of the rover: PLANE,HEIGHT, m.")],
     earlier: Annotated[str, option("Standard deviations of an earlier full test: PLANE,HEIGHT, m.")] = "",
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Test a GNSS rover (RTK) in the field after ISO 17123-8, simplified or full.
@@ -367,6 +368,7 @@ def rover_test(
     Example: `photocal rover-test sets.csv --distance 12.345 --height-difference 0.214 --sigma 0.010,0.015`
     """
     from photocal.accuracy import rover_test as test
+    from photocal.findings.texts import catalogue, spoken
 
     form = "PLANE,HEIGHT: metres, such as 0.010,0.015"
     plane, height = numbers_of(sigma, "--sigma", form)
@@ -375,4 +377,4 @@ def rover_test(
         plane_before, height_before = numbers_of(earlier, "--earlier", form)
         before = plane_before, height_before
     made = test.rover_test(test.read_sets(sets), distance, height_difference, plane, height, before)
-    answer(as_json, lambda: made, lambda: test.as_text(made))
+    answer(as_json, lambda: made, lambda: test.as_text(made, catalogue(spoken(language))))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from photocal.base.console import AsJson, answer, argument, option, progress
+from photocal.base.console import AsJson, Language, answer, argument, option, progress
 
 if TYPE_CHECKING:
     from photocal.run.calibrations import Calibrated, Use
@@ -31,6 +31,7 @@ def compare(
         bool,
         option("Use camera and mounting of each flight in each other, at its check points.", "--exchange"),
     ] = False,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Compare calibrations: misclosure, zero rotation, rotation and single photo resection of every pair.
@@ -58,11 +59,13 @@ def compare(
     from photocal.analysis.stability.repeatability import compared_heads, heads_text, repeatability_text
     from photocal.base.arrays import as_plain
     from photocal.base.files import picture_kind
+    from photocal.findings.texts import catalogue, spoken
     from photocal.run.calibrations import cameras_of, exchanged, repeated, uses_text
 
     for path in (picture, curves, parameters):
         if path is not None:
             picture_kind(path)
+    say = catalogue(spoken(language))
     flights = _flights(calibrations, exchange=exchange)
     asked = cameras_of(flights) if flights else read_camera_file(calibrations[0])
     how = asked.comparison
@@ -98,10 +101,10 @@ def compare(
         },
         lambda: "\n\n".join(
             [
-                str(compared),
-                *(repeatability_text(repeat) for repeat in repeats.values()),
-                *([heads_text(heads)] if heads else []),
-                *([uses_text(uses)] if uses else []),
+                compared.text(say),
+                *(repeatability_text(repeat, say) for repeat in repeats.values()),
+                *([heads_text(heads, say)] if heads else []),
+                *([uses_text(uses, say)] if uses else []),
             ]
         ),
     )

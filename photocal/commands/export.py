@@ -4,12 +4,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
-from photocal.base.console import answer, argument, numbers_of, option
+from photocal.base.console import Language, answer, argument, numbers_of, option
 from photocal.base.errors import ConfigurationError
 from photocal.exchange.formats import exported
 
 if TYPE_CHECKING:
     from photocal.exchange.exporting import Angle
+    from photocal.findings.texts import Catalogue
 
 FORMATS = ", ".join(exported())
 
@@ -24,6 +25,7 @@ def export(
     origin: Annotated[
         str, option("LATITUDE,LONGITUDE,HEIGHT of the local frame (geojson, kml, geopackage).", "--origin")
     ] = "",
+    language: Language = "",
     as_json: Annotated[bool, option("Print what was written as JSON.", "--json")] = False,
 ) -> None:
     """Export cameras, orientations, points and measurements; report the cost of a changed camera model.
@@ -34,6 +36,7 @@ def export(
     from photocal.base.geodesy import GeodeticPlace
     from photocal.exchange.exporting import Choices, middle
     from photocal.exchange.formats import named
+    from photocal.findings.texts import catalogue, spoken
     from photocal.results.adjusted_block import adjusted_block
     from photocal.results.folder import read_result
 
@@ -73,26 +76,22 @@ def export(
             name: camera.value("readout") for name, camera in adjusted.cameras.items() if camera.rolling
         },
     }
-    answer(as_json, lambda: result, lambda: _text(result, output))
+    answer(as_json, lambda: result, lambda: _text(result, output, catalogue(spoken(language))))
 
 
-def _text(result: dict[str, Any], output: Path) -> str:
-    lines = [f"{result['format']}: {', '.join(result['files'])} written to {output}"]
+def _text(result: dict[str, Any], output: Path, say: "Catalogue") -> str:
+    files = ", ".join(result["files"])
+    lines = [say("exported.written", form=result["format"], files=files, place=output)]
     if result["origin"]:
-        place = result["origin"]
-        at = f"{place['x']:.3f}, {place['y']:.3f}, {place['z']:.3f} of {place['frame']}"
-        lines.append(f"coordinates: east, north, up in m from {at} ({place['height']} height)")
+        place = {key: result["origin"][key] for key in ("x", "y", "z", "frame")}
+        lines.append(say.told("exported.origin", **place, height=say.stored(result["origin"]["height"])))
     for camera in result["cameras"]:
-        how = "the distortion is left out" if result["distortion"] == "none" else "fitted"
-        cost = (
-            f"{how}, {camera['rms_px']:.2g} px rms, {camera['largest_px']:.2g} px at most"
-            if camera["largest_px"]
-            else "the same model, nothing lost"
-        )
-        lines.append(f"camera {camera['camera']}: {cost}")
+        how = say("exported.no_distortion" if result["distortion"] == "none" else "exported.fitted")
+        sizes = {"rms": camera["rms_px"], "largest": camera["largest_px"]}
+        cost = say.told("exported.cost", how=how, **sizes) if sizes["largest"] else say("exported.same")
+        lines.append(say("exported.camera", camera=camera["camera"], cost=cost))
     lines += [
-        f"camera {name}: its shutter rolls ({1e3 * readout:.2f} ms), which this format cannot say: image "
-        "coordinates are corrected to the pose of the middle line"
+        say.told("exported.rolls", camera=name, readout=1e3 * readout)
         for name, readout in result["rolling_shutters"].items()
     ]
     return "\n".join(lines)

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from photocal.base.console import Address, answer, argument, option, printable, progress
+from photocal.base.console import Address, Answering, answer, argument, option, printable, progress, spread
 from photocal.base.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from photocal.findings.texts import Catalogue
     from photocal.measurement.marking.store import MarkStore, Scene
 
 
+@spread
 def mark(
     project: Annotated[
         Path | None, argument("Project file: pictures, control points and where marks are kept.")
@@ -28,21 +30,26 @@ def mark(
     ] = None,
     address: Address = "127.0.0.1:8750",
     cache: Annotated[Path | None, option("Folder for tiles; ~/.cache/photocal when not given.")] = None,
-    as_json: Annotated[bool, option("Print what is marked as JSON, and show no page.", "--json")] = False,
+    *,
+    answering: Answering,
 ) -> None:
     """Mark control and check points in the images on a local web page; every mark is saved at once.
+
+    With --json what is marked is printed, and no page is shown.
 
     Example: `photocal mark PROJECT.toml`; without a project
     `photocal mark --images photos --points points.csv -o marks.csv`.
     """
+    from photocal.findings.texts import catalogue, spoken
     from photocal.measurement.marking.store import MarkStore
 
     scene, path = _scene(project, images, points, output, run)
     store = MarkStore(path)
-    if as_json:
+    if answering.as_json:
         answer(True, lambda: _figures(scene, store), str)
     else:
-        _show(project, run, scene, store, address, cache)
+        say = catalogue(spoken(answering.language))
+        _show(project, run, scene, store, address, cache, say)
 
 
 def _scene(
@@ -85,6 +92,7 @@ def _show(
     store: MarkStore,
     address: str,
     cache: Path | None,
+    say: Catalogue,
 ) -> None:
     from photocal.base.operating_system import cache_folder, stopped_by_signals
     from photocal.base.web import read_address, serving
@@ -94,7 +102,7 @@ def _show(
     stop = stopped_by_signals()
     for name, picture in scene.pictures.items():
         if picture.reason:
-            typer.echo(printable(f"{name}: {picture.reason}"), err=True)
+            typer.echo(printable(f"{name}: {say.stored(picture.reason)}"), err=True)
     tiles = cache or cache_folder()
     # The window is that of a folder: a project file of another name has its marks there, and nothing else.
     if project is not None and (project.is_dir() or project.name == NAME):
@@ -102,10 +110,11 @@ def _show(
     else:
         page = marking_application(scene, store, tiles)
     with serving(page, read_address(address)) as url:
-        typer.echo(f"open {url} (Ctrl-C ends); marks: {store.path}")
+        typer.echo(say("marked.open", url=url, file=store.path))
         stop.wait()
 
 
+@spread
 def targets(
     kind: Annotated[
         str,
@@ -119,13 +128,15 @@ def targets(
     board: Annotated[str, option("Squares of a board in a row and in a column.")] = "10x7",
     charuco: Annotated[str, option("Marker dictionary of a ChArUco board.")] = "4x4_50",
     paper: Annotated[str, option("a4, a3, a2, a1 or a0.")] = "a4",
-    as_json: Annotated[bool, option("Print what was written as JSON.", "--json")] = False,
+    *,
+    answering: Answering,
 ) -> None:
     """Write target sheets as PDF, true to scale, for all targets that `photocal measure` reads.
 
     Example: `photocal targets apriltag_36h11 --numbers 1-20 --size-mm 160 -o targets.pdf`
     """
     from photocal.base.files import write_file
+    from photocal.findings.texts import catalogue, spoken
     from photocal.measurement.markers import DICTIONARIES, parse_board
     from photocal.measurement.target_shapes import board_target, coded_target, plain_target, sheets_pdf
 
@@ -142,9 +153,9 @@ def targets(
     write_file(output, content)
     titles = [sheet.title for sheet in sheets]
     answer(
-        as_json,
+        answering.as_json,
         lambda: {"file": str(output), "sheets": titles},
-        lambda: "\n".join([*titles, f"{output}: print at 100 % and measure the bar of 100 mm"]),
+        lambda: "\n".join([*titles, catalogue(spoken(answering.language))("marked.print", file=output)]),
     )
 
 

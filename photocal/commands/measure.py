@@ -6,12 +6,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from photocal.base.console import AsJson, answer, argument, option, progress, spread
+from photocal.base.console import AsJson, Language, answer, argument, option, progress, spread
 from photocal.base.errors import ConfigurationError
 from photocal.base.policy import policy
 from photocal.measurement.options import MeasureOptions, RadiometryOptions
+
+if TYPE_CHECKING:
+    from photocal.findings.texts import Catalogue
 
 
 @spread
@@ -23,6 +26,7 @@ def measure(
     ] = None,
     images: Annotated[Path | None, option("Folder with the images.")] = None,
     options: MeasureOptions,
+    language: Language = "",
     as_json: Annotated[bool, option("Print measurement.json.", "--json")] = False,
 ) -> None:
     """Measure images, a project, a calibration board or tie points; write a block for `photocal adjust`.
@@ -33,6 +37,9 @@ def measure(
     `photocal measure --images lab --field 4x4_250 --distances tape.csv -o block --run run`;
     with --images alone, tie points.
     """
+    from photocal.findings.texts import catalogue, spoken
+
+    say = catalogue(spoken(language))
     if (project is None) == (images is None):
         raise ConfigurationError("what to measure is not clear", "give PROJECT.toml or --images FOLDER")
     if options.cluster:
@@ -43,8 +50,8 @@ def measure(
     if options.run is not None and options.field:
         from photocal.results.adjusted import adjust_block
 
-        adjusted = [repr(adjust_block(output, options.run))]
-    answer(as_json, lambda: record, lambda: "\n".join([*_text(record, output), *adjusted]))
+        adjusted = [adjust_block(output, options.run).text(say)]
+    answer(as_json, lambda: record, lambda: "\n".join([*_text(record, output, say), *adjusted]))
 
 
 def _written(project: Path | None, images: Path, options: MeasureOptions, output: Path) -> dict[str, Any]:
@@ -69,94 +76,113 @@ def _written(project: Path | None, images: Path, options: MeasureOptions, output
     return measured.record
 
 
-def _text(record: dict[str, Any], output: Path) -> list[str]:
-    kind, next_step = record["kind"], f"block folder: {output}; next: photocal adjust {output} -o RUN"
+def _text(record: dict[str, Any], output: Path, say: Catalogue) -> list[str]:
+    kind, next_step = record["kind"], say("measured.next", output=output)
     if kind in ("board", "field of coded targets"):
-        return [*_corner_lines(record), next_step if kind == "board" else f"block folder: {output}"]
+        last = next_step if kind == "board" else say("measured.folder", output=output)
+        return [*_corner_lines(record, say), last]
     lines = []
     if kind == "project":
         marks, plain = record["marks"], record["targets"].get("plain")
-        lines = [
-            f"marks by hand: {marks['by_hand']}, targets found: {marks['targets']}, used: {marks['used']}"
-        ]
+        counts = {name: marks[name] for name in ("by_hand", "targets", "used")}
+        lines = [say("measured.marks", **counts)]
         if plain is not None:
-            lines.append(f"uncoded targets: {plain['found']} of {plain['predicted']} predicted")
+            found = {name: plain[name] for name in ("found", "predicted")}
+            lines.append(say("measured.plain", **found))
     elif kind == "tie and control points":
         control, system = record["control"], record["system"]["crs"]
-        lines = [f"{control['marks']} marks of control points in {control['file']}, system {system}"]
-    told_first = record["warnings"] if kind != "tie points" else []
-    return [*lines, *told_first, *_tie_lines(record), next_step]
+        lines = [say("measured.control", marks=control["marks"], file=control["file"], system=system)]
+    first = _warnings(record, say) if kind != "tie points" else []
+    return [*lines, *first, *_tie_lines(record, say), next_step]
 
 
-def _corner_lines(record: dict[str, Any]) -> list[str]:
+def _warnings(record: dict[str, Any], say: Catalogue) -> list[str]:
+    """Say what was found, but for what is small."""
+    from photocal.findings.texts import finding_text, findings_of, plain
+
+    found = findings_of(record["findings"], "measurement.json")
+    return [finding_text(finding, say, plain) for finding in found if not finding.small]
+
+
+def _corner_lines(record: dict[str, Any], say: Catalogue) -> list[str]:
     shown = record["images"]
-    corners = sum(image["corners"] for image in shown)
+    counts = {"n": len(shown), "corners": sum(image["corners"] for image in shown)}
     if record["kind"] == "board":
-        unit = "" if record["board"]["square_m"] != 1.0 else " (lengths in squares: no --square-m was given)"
-        head = f"{len(shown)} images show the board, {corners} corners{unit}"
+        unit = "" if record["board"]["square_m"] != 1.0 else say("measured.squares")
+        head = say("measured.board", **counts, unit=unit)
     else:
         lengths = record["distances"]
-        scale = f"{lengths} distances" if lengths else "no distance: the unit is free"
-        head = f"{record['targets']} targets in {len(shown)} pictures, {corners} corners, {scale}"
+        scale = say("measured.distances", n=lengths) if lengths else say("measured.no_distance")
+        head = say("measured.field", **counts, targets=record["targets"], scale=scale)
     return [
         head,
-        f"common part of a corner's sigma: {record['common_sigma_px']:.3f} px",
+        say.told("measured.common", sigma=record["common_sigma_px"]),
         *(
-            f"the views determine the principal distance to {100 * ratio:.2g} % only: take more, tilted ones"
+            say.told("measured.weak_c", percent=100 * ratio)
             for ratio in record["principal_distance_sigma_ratio"]
             if ratio > policy.weak_c
         ),
-        *_rejected(record.get("rejected", [])),
-        *_left_out(record),
+        *_rejected(record.get("rejected", []), say),
+        *_left_out(record, say),
     ]
 
 
-def _rejected(corners: list[dict[str, str]]) -> list[str]:
+def _rejected(corners: list[dict[str, str]], say: Catalogue) -> list[str]:
     """Name the corners that do not fit to the others."""
-    named = [f"{corner['point']} in {corner['image']}" for corner in corners]
+    named = [say("measured.corner", point=corner["point"], image=corner["image"]) for corner in corners]
     if not named:
         return []
-    more = f" and {len(named) - 10} more" if len(named) > 10 else ""
-    return [f"gross corners rejected, {len(named)}: {', '.join(named[:10])}{more}"]
+    more = say("join.more", count=len(named) - 10) if len(named) > 10 else ""
+    return [say("measured.rejected", n=len(named), names=", ".join(named[:10]) + more)]
 
 
-def _left_out(record: dict[str, Any]) -> list[str]:
-    return [f"left out: {entry['image']}: {entry['reason']}" for entry in record["left_out"]]
-
-
-def _tie_lines(record: dict[str, Any]) -> list[str]:
-    pairs, tracks = record["pairs"], record["tracks"]
-    share = 100 * record["share_of_four_and_more"]
+def _left_out(record: dict[str, Any], say: Catalogue) -> list[str]:
     return [
-        f"{len(record['images'])} images in one block",
-        f"pairs by {pairs['rule']}: {pairs['examined']} examined, {pairs['verified']} verified",
-        f"tracks of features: {tracks['of_features']}; {tracks['conflicts_removed']} in conflict, not used",
-        f"verified by matching: {tracks['all']}, {tracks['three_and_more_rays']} of three and more rays",
-        f"points kept: {record['points']}, {share:.0f} % with four and more rays",
-        f"observations rejected: {record['rejected_observations']} of {record['observations']}",
-        f"sigma of an image coordinate: {record['sigma_px']:.2f} px; rms {record['rms_px']:.2f} px",
-        *(record["warnings"] if record["kind"] == "tie points" else ()),
-        *(f"c from: {source}" for source in record.get("principal_distance_from", ())),
-        *(line for camera in record["cameras"] for line in _camera_lines(camera)),
-        *_left_out(record),
+        say(
+            "measured.left_out",
+            image=entry["image"],
+            reason="; ".join(map(say.stored, entry["reason"].split("; "))),
+        )
+        for entry in record["left_out"]
     ]
 
 
-def _camera_lines(camera: dict[str, Any]) -> list[str]:
+def _tie_lines(record: dict[str, Any], say: Catalogue) -> list[str]:
+    pairs, tracks = record["pairs"], record["tracks"]
+    share, of = 100 * record["share_of_four_and_more"], record["observations"]
+    found = {name: pairs[name] for name in ("examined", "verified")}
+    more = {"n": tracks["all"], "more": tracks["three_and_more_rays"]}
+    conflicts = {"n": tracks["of_features"], "conflicts": tracks["conflicts_removed"]}
+    return [
+        say("measured.images", n=len(record["images"])),
+        say("measured.pairs", **found, rule=say.stored(pairs["rule"])),
+        say("measured.features", **conflicts),
+        say("measured.tracks", **more),
+        say.told("measured.points", n=record["points"], share=share),
+        say("measured.rays", rejected=record["rejected_observations"], n=of),
+        say.told("measured.sigma", sigma=record["sigma_px"], rms=record["rms_px"]),
+        *(_warnings(record, say) if record["kind"] == "tie points" else ()),
+        *(
+            say("measured.c_from", source=say.stored(source))
+            for source in record.get("principal_distance_from", ())
+        ),
+        *(line for camera in record["cameras"] for line in _camera_lines(camera, say)),
+        *_left_out(record, say),
+    ]
+
+
+def _camera_lines(camera: dict[str, Any], say: Catalogue) -> list[str]:
     released, held = camera["released"], ", ".join(camera["held"])
     if not held:
         return []
-    lines = [f"camera {camera['camera']}: {held} held; to calibrate, name them under estimate"]
+    lines = [say("measured.held", camera=camera["camera"], names=held)]
     if released is None:
         return lines
-    unit, digits = camera["unit"], 1 if camera["unit"] == "px" else 4
-    says = (
-        f"released, c becomes {released['c']:.{digits}f} +- {released['sigma']:.{digits}f} {unit} "
-        f"({100 * released['change']:+.1f} %); the relief is {100 * released['relief']:.0f} % of the distance"
-    )
-    if not released["credible"]:
-        says += ": not credible, it absorbs what the model lacks; oblique or crossed views determine c"
-    return [*lines, says]
+    form = ".1f" if camera["unit"] == "px" else ".4f"
+    both = {name: say.row([released[name]], form) for name in ("c", "sigma")}
+    parts = {name: 100 * released[name] for name in ("change", "relief")}
+    says = say.told("measured.released", **both, **parts, unit=camera["unit"])
+    return [*lines, says if released["credible"] else says + say("measured.not_credible")]
 
 
 @spread

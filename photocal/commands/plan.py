@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from photocal.base.console import AsJson, answer, argument, option, progress, spread
+from photocal.base.console import AsJson, Language, answer, argument, option, progress, spread
 from photocal.planning.options import (
     FlightOptions,
     FlownOptions,
@@ -21,6 +21,7 @@ def plan(
     limits: LimitOptions,
     mission: MissionOptions,
     precision: PrecisionOptions,
+    language: Language = "",
     *,
     as_json: AsJson = False,
 ) -> None:
@@ -32,13 +33,16 @@ def plan(
     Example: `photocal plan field.kml -o plan --focal-mm 8.8 --pixel-um 2.41 --image-px 5472x3648
     --gsd-cm 3 --second-height 140 --home -28.853,-51.294,700 --ground-height 705`
     """
+    from photocal.findings.texts import catalogue, spoken
     from photocal.planning.plan import plan as planned
 
+    say = catalogue(spoken(language))
     with progress("planning and adjusting the flight", None):
         made = planned(area, flight.request(), limits=limits, mission=mission, precision=precision)
     names = made.write(output, mission)
-    missing = "" if made.takeoff else "\nno mission written: give --home LAT,LON,HEIGHT and --ground-height"
-    answer(as_json, made.figures, lambda: f"{made}\nwritten to {output}: {', '.join(names)}{missing}")
+    written = say("planned.written", place=output, names=", ".join(names))
+    last = [] if made.takeoff else [say("planned.no_mission")]
+    answer(as_json, made.figures, lambda: "\n".join([made.text(say), written, *last]))
 
 
 def plan_network(
@@ -46,6 +50,7 @@ def plan_network(
     output: Annotated[
         Path | None, option("Folder for figures, picture, block and adjustment.", "-o", "--output")
     ] = None,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Predict the precision of a close-range network before the photos are taken.
@@ -59,13 +64,15 @@ def plan_network(
 
     Example: `photocal plan-network configs/networks/test-field.toml -o planned`
     """
+    from photocal.findings.texts import catalogue, spoken
     from photocal.planning.network_file import plan_network as planned
 
+    say = catalogue(spoken(language))
     with progress("adjusting the planned network", None):
         made = planned(network)
     names = () if output is None else made.write(output)
-    written = f"\nwritten to {output}: {', '.join(names)}" if names else ""
-    answer(as_json, made.figures, lambda: f"{made}{written}")
+    written = [say("planned.written", place=output, names=", ".join(names))] if names else []
+    answer(as_json, made.figures, lambda: "\n".join([made.text(say), *written]))
 
 
 @spread
@@ -80,6 +87,7 @@ def flown(
     output: Annotated[
         Path | None, option("Folder for figures, table, map and picture.", "-o", "--output")
     ] = None,
+    language: Language = "",
     as_json: Annotated[bool, option("Print the figures as JSON.", "--json")] = False,
 ) -> None:
     """Measure a flown block: height, ground sampling, tilt, real overlaps, rays, gaps, motion blur.
@@ -92,6 +100,7 @@ def flown(
     """
     from math import nan
 
+    from photocal.findings.texts import catalogue, spoken
     from photocal.planning.flown_output import flown_text
     from photocal.project import read_project
     from photocal.run.flown import measure_flown
@@ -101,4 +110,4 @@ def flown(
         block, run = project.output / "block", run or project.output / "calibration"
     exposure_s = nan if exposure_ms is None else exposure_ms / 1e3
     figures = measure_flown(block, run, files, exposure_s, nan if speed is None else speed, output)
-    answer(as_json, lambda: figures, lambda: flown_text(figures))
+    answer(as_json, lambda: figures, lambda: flown_text(figures, catalogue(spoken(language))))

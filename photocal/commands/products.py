@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from photocal.base.console import AsJson, answer, argument, option, spread
+from photocal.base.console import AsJson, Language, answer, argument, option, spread
 from photocal.products.options import ContourOptions, OrthoOptions, VolumeOptions
 
 
@@ -21,6 +21,7 @@ def ortho(
     output: Annotated[Path, option("GeoTIFF to write.", "-o", "--output")],
     *,
     options: OrthoOptions,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Make an orthophoto: every cell takes its grey value from the image that sees it best from above.
@@ -32,10 +33,11 @@ def ortho(
 
     Example: `photocal ortho block --run run --images photos --dtm dtm.tif --cell 0.1 -o ortho.tif`
     """
+    from photocal.findings.texts import catalogue, spoken
     from photocal.products.ortho import ortho as made_of
 
     made = made_of(block, images, dtm, output, options=options)
-    answer(as_json, made.figures, lambda: str(made))
+    answer(as_json, made.figures, lambda: made.text(catalogue(spoken(language))))
 
 
 @spread
@@ -47,6 +49,7 @@ def contours(
     output: Annotated[Path, option("File to write: .dxf, .shp or .gpkg.", "-o", "--output")],
     *,
     options: ContourOptions,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Write the contours of a terrain model for CAD (DXF) or GIS (Shapefile, GeoPackage).
@@ -57,10 +60,11 @@ def contours(
 
     Example: `photocal contours dtm.tif --interval 0.5 -o contours.dxf`
     """
+    from photocal.findings.texts import catalogue, spoken
     from photocal.products.contours import contours as made_of
 
     made = made_of(dtm, output, options)
-    answer(as_json, made.figures, lambda: str(made))
+    answer(as_json, made.figures, lambda: made.text(catalogue(spoken(language))))
 
 
 @spread

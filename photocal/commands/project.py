@@ -72,6 +72,7 @@ def adopt(
     project: Annotated[Path, argument("Folder of the project, or its set-up file.")],
     output: Annotated[Path, option("Folder for block, run and certificate.", "-o", "--output")],
     gcp: Annotated[Path | None, option("gcp_list.txt for a project without control.")] = None,
+    language: Language = "",
     as_json: Annotated[bool, option("Print adoption.json.", "--json")] = False,
 ) -> None:
     """Adjust a project of Pix4D, Metashape, ODM, OpenSfM, COLMAP or MicMac again and compare.
@@ -80,11 +81,17 @@ def adopt(
     """
     import datetime as dt
 
+    from photocal.findings.texts import catalogue, spoken
     from photocal.run.adopt import adopt as adopted
     from photocal.run.adoption_figures import adoption_text
 
+    say = catalogue(spoken(language))
     figures = adopted(project, output, dt.datetime.now().astimezone().date(), progress, gcp)
-    answer(as_json, lambda: figures, lambda: adoption_text(figures) + f"\nwritten: {output}")
+    answer(
+        as_json,
+        lambda: figures,
+        lambda: adoption_text(figures, say) + "\n" + say("adopted.written", place=output),
+    )
 
 
 def run(
@@ -193,6 +200,7 @@ def desk(
     folder: Annotated[Path, argument("Folder of a flight, or a folder that has such folders.")],
     address: Address = "127.0.0.1:8760",
     cache: Annotated[Path | None, option("Folder for tiles; ~/.cache/photocal when not given.")] = None,
+    language: Language = "",
     as_json: Annotated[
         bool, option("Print how the steps stand as JSON, and show no window.", "--json")
     ] = False,
@@ -207,6 +215,7 @@ def desk(
     from photocal.base.web import read_address, serving
     from photocal.desk.session import Desk
     from photocal.desk.standing import application, shown
+    from photocal.findings.texts import catalogue, spoken
 
     tiles = cache or cache_folder()
     if as_json:
@@ -215,5 +224,5 @@ def desk(
     stop = stopped_by_signals()
     page = application(folder, tiles)
     with serving(page, read_address(address)) as url:
-        typer.echo(f"open {url} (Ctrl-C ends)")
+        typer.echo(catalogue(spoken(language))("marked.open_desk", url=url))
         stop.wait()

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from photocal.base.console import AsJson, answer, argument, option, progress
+from photocal.base.console import AsJson, Language, answer, argument, option, progress
 
 
 def study(
@@ -16,6 +16,7 @@ def study(
     output: Annotated[
         Path | None, option("New folder for its files and results; without: its name.", "-o", "--output")
     ] = None,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Repeat a published study: copy its files, run its commands, compare with the printed results.
@@ -25,14 +26,19 @@ def study(
 
     Example: `photocal study ixus220 -o ixus220`
     """
+    from photocal.findings.texts import catalogue, spoken
     from photocal.studies.study import read_study, shipped, study_folder
 
+    say = catalogue(spoken(language))
     if name is None:
         listed = {key: read_study(folder) for key, folder in shipped().items()}
         answer(
             as_json,
             lambda: {key: {"title": one.title, "year": one.year} for key, one in listed.items()},
-            lambda: "\n".join(f"{key:<12} {one.year}  {one.title}" for key, one in listed.items()),
+            lambda: "\n".join(
+                f"{key:<12} {one.year}  {say.stored(one.title, one.languages.get(say.language))}"
+                for key, one in listed.items()
+            ),
         )
         return
     from photocal.studies.comparison import as_record, as_text, repeat_study
@@ -48,4 +54,8 @@ def study(
     count = len(read_study(source).command)
     with progress("repeating the study", count) as advance:
         repeated = repeat_study(source, folder, run, lambda _: advance(1))
-    answer(as_json, lambda: as_record(repeated), lambda: f"{as_text(repeated)}\nwritten to {folder}")
+    answer(
+        as_json,
+        lambda: as_record(repeated),
+        lambda: f"{as_text(repeated, say)}\n{say('result.written', place=folder)}",
+    )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from photocal.base.console import answer, argument, option, printable, progress
+from photocal.base.console import Answering, Language, answer, argument, option, printable, progress, spread
 from photocal.base.errors import (
     ConfigurationError,
     InputMalformedError,
@@ -17,6 +17,7 @@ from photocal.base.errors import (
 )
 
 if TYPE_CHECKING:
+    from photocal.findings.texts import Catalogue
     from photocal.report.signing import Authenticity, Stamped
     from photocal.report.verification import Difference
     from photocal.run.repeated_findings import RepeatedFindings
@@ -31,6 +32,7 @@ def keys(
     ] = None,
     journal: Annotated[bool, option("Check and list what was signed.", "--journal")] = False,
     file: Annotated[Path | None, option("Another journal.")] = None,
+    language: Language = "",
     as_json: Annotated[bool, option("Print as JSON.", "--json")] = False,
 ) -> None:
     """Show the known keys by their fingerprints, make one, or list the journal of issued certificates.
@@ -41,6 +43,7 @@ def keys(
     Example: `photocal keys --new "Laboratory for photogrammetry"`
     """
     from photocal.base.operating_system import settings_folder
+    from photocal.findings.texts import catalogue, spoken
     from photocal.report.keys import known_keys, new_key, own_key, quoted, read_journal, revoked_keys
 
     if journal:
@@ -62,10 +65,11 @@ def keys(
         )
     key, known, revoked = own_key(), known_keys(), revoked_keys()
     fingerprint, folder = "" if key is None else key.fingerprint, str(settings_folder())
+    say = catalogue(spoken(language))
     known_lines = [
-        f"{digits}  {quoted(of.name)}{'  (own)' * (digits == fingerprint)}"
-        + (f"  until {of.last_day}" if of.last_day else "")
-        + (f"  {revoked[digits]}" if digits in revoked else "")
+        f"{digits}  {quoted(of.name)}{say('verified.own') * (digits == fingerprint)}"
+        + (say("verified.until", day=of.last_day) if of.last_day else "")
+        + (f"  {say.stored(str(revoked[digits]))}" if digits in revoked else "")
         for digits, of in known.items()
     ]
     answer(
@@ -77,7 +81,9 @@ def keys(
             "revoked": {digits: str(entry.day) for digits, entry in revoked.items()},
             "folder": folder,
         },
-        lambda: "\n".join([*(known_lines or ["no key is known"]), f"in {folder}"]),
+        lambda: "\n".join(
+            [*(known_lines or [say("verified.no_key")]), say("verified.folder", folder=folder)]
+        ),
     )
 
 
@@ -90,6 +96,7 @@ def sign(
         str | None,
         option("Time stamping authority (RFC 3161) that gets the digest of the signature.", metavar="URL"),
     ] = None,
+    language: Language = "",
     as_json: Annotated[bool, option("Print what was signed as JSON.", "--json")] = False,
 ) -> None:
     """Sign a certificate with the key of `photocal keys`: every file of its folder.
@@ -99,6 +106,7 @@ def sign(
 
     Example: `photocal sign certificate`
     """
+    from photocal.findings.texts import catalogue, spoken
     from photocal.report.issue import read_record
     from photocal.report.keys import quoted
     from photocal.report.signing import SIGNATURE, STAMP, stamp
@@ -113,16 +121,21 @@ def sign(
         typer.echo(printable(f"warning: {told}"), err=True)
     when = None if time_stamp is None else stamp(folder / SIGNATURE, time_stamp)
     content = {"number": certified["number"], "fingerprint": key.fingerprint, "file": file}
+    say = catalogue(spoken(language))
+    by = say("verified.signed", fingerprint=key.fingerprint, name=quoted(key.name))
     answer(
         as_json,
         lambda: {**content, "time_stamp": None if when is None else when.time.isoformat()},
-        lambda: (
-            f"certificate {printable(certified['number'])} signed with the key {key.fingerprint} by "
-            f"{quoted(key.name)}: {file}" + ("" if when is None else f"\n{when}")
+        lambda: "\n".join(
+            [
+                say("verified.signed_now", number=printable(certified["number"]), signed=by, file=file),
+                *([] if when is None else [when.text(say)]),
+            ]
         ),
     )
 
 
+@spread
 def verify(
     certificate: Annotated[
         Path,
@@ -147,7 +160,8 @@ def verify(
     issued: Annotated[
         Path | None, option("Journal of the issuer that must have this certificate.", "--journal")
     ] = None,
-    as_json: Annotated[bool, option("Print the outcome as JSON.", "--json")] = False,
+    *,
+    answering: Answering,
 ) -> None:
     """Repeat a certificate from its inputs, compare every figure and page, and judge its signature.
 
@@ -162,12 +176,14 @@ def verify(
 
     Example: `photocal verify certificate`
     """
+    from photocal.findings.texts import catalogue, spoken
+
+    say = catalogue("en" if answering.as_json else spoken(answering.language))
     if certificate.suffix == ".toml":
-        _printed(certificate, as_json)
+        _printed(certificate, answering.as_json, say)
         return
     from photocal.base.arrays import as_plain
     from photocal.base.files import digest
-    from photocal.findings.texts import catalogue
     from photocal.findings.verdict import verdict_json
     from photocal.report.issue import NAME, read_record
     from photocal.report.keys import against_journal, known_keys, read_journal, revoked_keys
@@ -181,7 +197,7 @@ def verify(
     differences: list[Difference] = []
     findings: RepeatedFindings | None = None
     if not any(name.endswith(" is a link") for name in files):
-        changed, differences, pages, findings = _repeat(certified, folder, block)
+        changed, differences, pages, findings = _repeat(certified, folder, block, say)
         files += pages
     responsible = certified["particulars"].get("responsible", {})
     named_key = str(responsible.get("key", "")) if isinstance(responsible, dict) else ""
@@ -205,17 +221,16 @@ def verify(
     if keys is not None and signed.trust in ("unsigned", "unknown", "expired"):
         problems.append(f"not authentic: {signed}")
     authentic = signed.trust == "trusted"
-    say = catalogue("en")
     judged = None if findings is None else verdict_json(findings.verdict, say)
     if judged is not None and judged["severity"] == "passed":
         # What was never told of the flight's processing cannot be missed: nothing is called clean here.
-        clean = "nothing was found in what can be repeated; the rest stands below"
+        clean = say("verified.clean")
         judged |= {"text": clean, "paragraph": clean}
     sentence = "" if judged is None else printable(judged["paragraph"])
     untold = () if findings is None else findings.untold
     taken = [*stated_by_issuer(certified), *(() if findings is None else findings.taken)]
     answer(
-        as_json,
+        answering.as_json,
         lambda: {
             "number": certified["number"],
             "verified": not problems,
@@ -233,17 +248,15 @@ def verify(
         },
         lambda: "\n".join(
             [
-                f"certificate {printable(certified['number'])}",
+                say("verified.certificate", number=printable(certified["number"])),
                 *(f"  {printable(line)}" for line in problems[:20]),
-                "reproducible: the inputs are the certified ones and give every figure and page again"
-                if reproducible
-                else "not reproducible",
-                *([] if judged is None else [f"judged again: {sentence}"]),
+                say("verified.reproducible" if reproducible else "verified.not_reproducible"),
+                *([] if judged is None else [say("verified.judged", text=sentence)]),
                 *(f"  {printable(line)}" for line in untold),
-                "taken from the issuer, not repeated:",
-                *(f"  {printable(line)}" for line in taken),
-                f"{'authentic' if authentic else 'not authentic'}: {printable(str(signed))}",
-                *([] if when is None else [str(when)]),
+                say("verified.taken"),
+                *(f"  {printable(say.stored(line))}" for line in taken),
+                say(f"verified.{'' if authentic else 'not_'}authentic", text=printable(signed.text(say))),
+                *([] if when is None else [when.text(say)]),
             ]
         ),
     )
@@ -286,7 +299,7 @@ def _refuse_unknown(signed: "Authenticity", certificate: Path) -> None:
 
 
 def _repeat(
-    certified: dict[str, Any], folder: Path, block: Path | None
+    certified: dict[str, Any], folder: Path, block: Path | None, say: "Catalogue"
 ) -> "tuple[list[str], list[Difference], list[str], RepeatedFindings | None]":
     """Compute, print and judge a certificate anew.
 
@@ -318,16 +331,15 @@ def _repeat(
         if all((folder / name).is_file() for name in verification.PAGES):
             pages = verification.changed_pages(folder, verification.pages_of(run, certified))
         particulars, _, told = verification.given_by(certified)
-        found = repeated_findings(run, source, told, particulars, lambda: step(1))
+        found = repeated_findings(run, source, told, particulars, lambda: step(1), say)
     return [], [], pages, found
 
 
-def _printed(path: Path, as_json: bool) -> None:
-    from photocal.findings.texts import catalogue, finding_text
+def _printed(path: Path, as_json: bool, say: "Catalogue") -> None:
+    from photocal.findings.texts import finding_text
     from photocal.report.derived_figures import check_printed, verdict
 
     name, findings, limits = check_printed(path)
-    say = catalogue("en")
     refused = [finding for finding in findings if finding.severity == "refused"]
     judged = verdict(limits)
     answer(
@@ -345,7 +357,7 @@ def _printed(path: Path, as_json: bool) -> None:
         },
         lambda: "\n".join(
             [
-                f"{name}, as printed; limits of the ministry: {say(f'acceptance.{judged}').lower()}",
+                say("verified.printed", name=name, verdict=say(f"acceptance.{judged}").lower()),
                 *(f"  {say(f'plausibility.{f.severity}')}: {finding_text(f, say)}" for f in findings),
             ]
         ),

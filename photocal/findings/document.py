@@ -4,7 +4,7 @@ import datetime as dt
 import json
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib import resources
 from textwrap import TextWrapper
 from typing import Any, Literal
@@ -243,10 +243,35 @@ def markdown(title: str, sections: Sequence[Section]) -> str:
     return "\n\n".join(blocks) + "\n"
 
 
+# Blanks within a figure: before its unit, and about the signs between value, sigma and factor.
+_UNITS = r"(?:[mcµk]?m|px|µm|m?s|min|h|ha|deg|graus|ppm|rad|mrad|arcsec|[kM]B|GB|sd|gon|%|°|″)"
+_BEFORE_UNIT = rf"(?<=[\d⁰¹²³⁴-⁹]) (?=(?:10[⁻⁰¹²³⁴-⁹]+ )?{_UNITS}[²³]?(?!\w)|±|×)"
+_WITHIN = re.compile(rf"{_BEFORE_UNIT}|(?<=[=±≈<>×]) (?=[+−\d-])")
+
+
+def unbroken(text: str) -> str:
+    """Keep value, sigma and unit of each figure on one line, by blanks that do not break."""
+    return _WITHIN.sub("\N{NO-BREAK SPACE}", text)
+
+
+def _unbroken(part: Any) -> Any:
+    """The same of all texts of a part of a document; drawings stay."""
+    if isinstance(part, str):
+        return unbroken(part)
+    if isinstance(part, tuple):
+        return tuple(map(_unbroken, part))
+    if not is_dataclass(part) or isinstance(part, type):
+        return part
+    texts = (field.name for field in fields(part) if field.name not in ("svg", "name", "words"))
+    return replace(part, **{name: _unbroken(getattr(part, name)) for name in texts})
+
+
 def html(document: Document) -> str:
     """Render a report as HTML."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined
     from markupsafe import Markup
+
+    document = _unbroken(document)
 
     figures = [piece for piece in _pieces(document) if isinstance(piece, PicturePart)]
     numbers = numbered(document)
@@ -292,6 +317,7 @@ def pdf(document: Document, date: dt.date) -> bytes:
     """Render a report as PDF."""
     import typst
 
+    document = _unbroken(document)
     template = resources.files(__package__).joinpath(TEMPLATE).read_bytes()
     compiler = typst.Compiler(
         font_paths=typst.Fonts(include_system_fonts=False),

@@ -17,12 +17,12 @@ from photocal.base.codec import from_plain
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.extensions import HYPOTHESES, brought
-from photocal.findings.digits import Number, as_given, fixed, measured, significant, symbol
+from photocal.findings.digits import MINUS, Number, as_given, fixed, measured, significant, symbol
 from photocal.findings.finding import Finding
 
 LANGUAGES = ("en", "pt-BR")
 # Their sections may add to each other, their keys are all different.
-CATALOGUES = ("findings", "report", "analysis", "verdict", "terminal", "new")
+CATALOGUES = ("findings", "report", "analysis", "verdict", "terminal", "new", "commands")
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,31 @@ class Catalogue:
     def __call__(self, key: str, **values: object) -> str:
         """Give one text with its values put in."""
         return self.messages[key].format(**values)
+
+    def told(self, key: str, **values: object) -> str:
+        """Give one text for a terminal: decimals with the mark of the language, and a plain minus sign."""
+        figures = {k: Number(v, self.mark) if isinstance(v, float) else v for k, v in values.items()}
+        return self(key, **figures).replace(MINUS, "-")
+
+    def row(self, values: Iterable[float], form: str, joint: str = " ") -> str:
+        """Write numbers one after another for a terminal, with the decimal mark of the language."""
+        return joint.join(f"{value:{form}}".replace(".", self.mark) for value in values)
+
+    def stored(self, text: str, own: Mapping[str, str] | None = None) -> str:
+        """Say in this language what a record has in English; what is not known stands as it is.
+
+        own: other texts that are known, English to this language, with places for values in braces.
+        """
+        if self.language == "en":
+            return text
+        for english, said in (*(own or {}).items(), *_stored(self.language)):
+            if found := _pattern(english).fullmatch(text):
+                return said.format(**{name: self._decimal(part) for name, part in found.groupdict().items()})
+        return text
+
+    def _decimal(self, text: str) -> str:
+        """Give a number the decimal mark; what is no number stays."""
+        return text.replace(".", self.mark) if re.fullmatch(r"-?\d+\.\d+", text) else text
 
     def fixed(self, value: float, decimals: int) -> str:
         """Print a number as `digits.fixed` does; so do the others."""
@@ -93,6 +118,19 @@ def catalogue(language: str) -> Catalogue:
     for added in brought(HYPOTHESES, Words).values():
         messages = {**added.words.get(language, added.words.get("en", {})), **messages}
     return Catalogue(language, messages["number.decimal_mark"], messages)
+
+
+@cache
+def _stored(language: str) -> tuple[tuple[str, str], ...]:
+    """English texts that records have, and the same in another language."""
+    english, other = catalogue("en").messages, catalogue(language).messages
+    return tuple((text, other[key]) for key, text in english.items() if key.startswith("stored."))
+
+
+@cache
+def _pattern(english: str) -> re.Pattern[str]:
+    """A text with places for values, as it may read."""
+    return re.compile(re.sub(r"\\{(\w+)\\}", r"(?P<\1>.+?)", re.escape(english)))
 
 
 def _flat(tree: Mapping[str, object], prefix: str) -> list[tuple[str, str]]:

@@ -11,7 +11,7 @@ from photocal.base.arrays import Floats
 from photocal.base.files import output_folder, output_picture, write_json, write_rows
 from photocal.base.geopackage import Feature, Layer, ReferenceSystem, add_layer, geopackage
 from photocal.findings.document import Paragraph, Section, TablePart, columns, text
-from photocal.findings.texts import Catalogue, catalogue
+from photocal.findings.texts import Catalogue
 from photocal.planning.flown import FlownBlock, gaps
 
 _NUMBERS = ("height_m", "gsd_m", "tilt_deg", "forward_overlap", "smear_px", "speed_m_s")
@@ -33,27 +33,27 @@ _SHOWN: dict[str, tuple[str, float, int]] = {
 _PLANNED = ("height_m", "gsd_m")
 
 
-def flown_text(figures: Mapping[str, Any]) -> str:
+def flown_text(figures: Mapping[str, Any], say: Catalogue) -> str:
     """Write a flown block for people."""
     spread = {key: tuple(figures[key].values()) for key in _SHOWN if figures.get(key)}
-    listed, say = figures["gaps"], catalogue("en")
+    listed = figures["gaps"]
     counts = {**figures, "gaps": len(listed)}
     section = flown_section("", spread, figures.get("planned", {}), counts, say)
     bare = [row for row in figures.get("control_by_strip", ()) if not row["control_points"]]
     some = any(row["control_points"] for row in figures.get("control_by_strip", ()))
     lines = []
     if bare and some:
-        named = ", ".join(f"{row['strip']} ({row['images']} images)" for row in bare)
-        lines.append(
-            f"strips without control: {named}; they depend on their neighbours: survey control there"
-        )
+        named = ", ".join(say("flown.strip", strip=row["strip"], n=row["images"]) for row in bare)
+        lines.append(say("flown.bare", strips=named))
     positions = figures.get("positions")
     if positions is not None:
-        axes = ", ".join(
-            f"{m:+.3f} +- {s:.3f}" for m, s in zip(positions["mean_m"], positions["std_m"], strict=True)
-        )
-        lines.append(f"camera positions, observed minus adjusted, X, Y, Z: {axes} m (positions.csv, .svg)")
-    holes = (f"{g['east_m']:.1f}, {g['north_m']:.1f}: {g['area_m2']:.0f} m2" for g in listed[:10])
+        both = zip(positions["mean_m"], positions["std_m"], strict=True)
+        axes = say("join.figures").join(f"{mean:+.3f} +- {std:.3f}" for mean, std in both)
+        lines.append(say("flown.positions", axes=axes.replace(".", say.mark)))
+    joint = say("join.figures")
+    holes = (
+        f"{say.row([g['east_m'], g['north_m']], '.1f', joint)}: {g['area_m2']:.0f} m2" for g in listed[:10]
+    )
     return text([replace(section, pieces=(*section.pieces, Paragraph("\n".join([*lines, *holes]))))])
 
 

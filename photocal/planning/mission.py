@@ -276,8 +276,3 @@ def farthest_m(flight: PlannedFlight, home: GeodeticPlace, ground_height_m: floa
 
 
 # What `in_wind` found, for people.
-WIND_TEXT = (
-    "in the wind: {slowest_m_s:.1f} to {fastest_m_s:.1f} m/s over ground, up to {air_m_s:.1f} through the "
-    "air, crab up to {crab_deg:.0f} deg, a photo every {interval_s:.2f} s, {duration_s:.0f} s in all; with a "
-    "fixed interval forward overlap {overlap_least:.0%} to {overlap_most:.0%}; take off and land against it"
-)

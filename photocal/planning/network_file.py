@@ -22,6 +22,7 @@ from photocal.base.policy import policy
 from photocal.base.text_tables import read_table, refuse
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
 from photocal.findings.document import Paragraph, Section, table, text
+from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import angles_from_matrix
 from photocal.planning.frame import PlanningCamera
@@ -367,36 +368,37 @@ class NetworkPlan:
 
     def __repr__(self) -> str:
         """Say it for people."""
+        return self.text(catalogue("en"))
+
+    def text(self, say: Catalogue) -> str:
+        """Say it for people, in a language."""
         made = self.figures()
         rays, worst, station = made["rays_per_point"], made["worst"], made["station_sigma"]
         places, farthest = (
-            " ".join(f"{1e3 * value:.3f}" for value in one)
+            say.row((1e3 * value for value in one), ".3f")
             for one in (made["sigma_m"].values(), worst["sigma_m"])
         )
+        counts = {key: made[key] for key in ("photos", "stations", "rays")} | rays
+        of = {"worst": worst["point"], "figures": places, "farthest": farthest, "parts": made["one_part_in"]}
+        weakest = {"place": 1e3 * max(station["place_m"]), "angle": max(station["angles_deg"])}
+        freedom, datum = made["degrees_of_freedom"], say.stored(made["datum"])
         story = (
-            f"{made['photos']} photos at {made['stations']} stations, {made['points']} targets, "
-            f"{made['rays']} rays ({rays['least']} to a target at least, {rays['mean']:.1f} on average), "
-            f"{made['degrees_of_freedom']} degrees of freedom, datum {made['datum']}\n"
-            f"targets: sigma X Y Z {places} mm (root mean square), worst {worst['point']}: {farthest} mm; "
-            f"1 part in {made['one_part_in']:.0f}\n"
-            f"sigma = K M s: K {made['design_factor']:.2f} at the mean photo scale "
-            f"1:{made['scale_number']:.0f}\n"
-            f"stations: {1e3 * max(station['place_m']):.2f} mm, {max(station['angles_deg']):.4f} deg "
-            "(the weakest axis)"
+            say.told("network.head", **counts, points=made["points"], freedom=freedom, datum=datum),
+            say.told("network.targets", **of),
+            say.told("network.design", factor=made["design_factor"], scale=made["scale_number"]),
+            say.told("network.stations", **weakest),
         )
-        pixels = ((one, one["sigma_px"]) for one in made["camera"])
+        pieces: list[Any] = [Paragraph("\n".join(story))]
         cells = [
-            (one["name"], f"{one['sigma']:.3g}", "" if px is None else f"{px:.3f}") for one, px in pixels
+            (one["name"], say.row([one["sigma"]], ".3g"), "" if px is None else say.row([px], ".3f"))
+            for one in made["camera"]
+            for px in [one["sigma_px"]]
         ]
-        pieces: list[Any] = [Paragraph(story)]
         if cells:
-            pieces.append(
-                table("expected precision of the camera", ("parameter", "sigma (powers of mm)", "px"), cells)
-            )
-        if high := [(f"{a}, {b}", f"{r:+.3f}") for a, b, r in self.correlations()]:
-            pieces.append(
-                table(f"correlations of {policy.strong_correlation:g} and more", ("parameters", "r"), high)
-            )
+            pieces.append(table(say("network.camera"), say("network.camera_heads").split("|"), cells))
+        if high := [(f"{a}, {b}", say.row([r], "+.3f")) for a, b, r in self.correlations()]:
+            title = say.told("network.correlations", limit=policy.strong_correlation)
+            pieces.append(table(title, say("network.correlations_heads").split("|"), high))
         return text([Section("", tuple(pieces))])
 
     def write(self, folder: Path) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.base.geodesy import GeodeticPlace
 from photocal.findings.finding import Finding
-from photocal.findings.texts import catalogue, finding_json, finding_text
+from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text
 from photocal.geometry.smear import SMEAR_LIMIT_PX, smear_px
 from photocal.planning import simulated_adjustment
 from photocal.planning.area import Area, read_area
@@ -31,7 +31,7 @@ from photocal.planning.flight import (
     plan_flight,
     suggest_layout,
 )
-from photocal.planning.mission import WIND_TEXT, at_speed, farthest_m, in_wind, write_plan
+from photocal.planning.mission import at_speed, farthest_m, in_wind, write_plan
 from photocal.planning.options import LimitOptions, MissionOptions, PrecisionOptions
 from photocal.planning.simulated_adjustment import SimulatedPrecision, planned_network
 
@@ -136,33 +136,51 @@ def remarks(
     return tuple(listed)
 
 
-def to_text(flight: PlannedFlight, targets: tuple[Target, ...], findings: tuple[Finding, ...]) -> str:
+def to_text(
+    flight: PlannedFlight, targets: tuple[Target, ...], findings: tuple[Finding, ...], say: Catalogue
+) -> str:
     """Write a planned flight for people."""
-    area = (
-        f"area {flight.area_m2 / 1e4:.2f} ha, {len(flight.strips)} strips, azimuth "
-        f"{math.degrees(flight.azimuth_rad) % 180.0:.1f} deg, {flight.exposures} photos, "
-        f"{flight.distance_m / 1e3:.2f} km, {flight.duration_s / 60.0:.1f} min at "
-        f"{flight.request.speed_m_s:g} m/s without take-off and return"
-    )
-    lines = [area]
+    counts = {"strips": len(flight.strips), "photos": flight.exposures}
+    lines = [
+        say.told(
+            "planned.area",
+            **counts,
+            area=flight.area_m2 / 1e4,
+            azimuth=math.degrees(flight.azimuth_rad) % 180.0,
+            distance=flight.distance_m / 1e3,
+            minutes=flight.duration_s / 60.0,
+            speed=flight.request.speed_m_s,
+        )
+    ]
     for level in flight.levels:
         width, height = level.footprint_m
         sigma = level.precision
+        precision = {"x": sigma.x_m, "y": sigma.y_m, "z": sigma.z_m, "plane": sigma.plane_m}
         lines.append(
-            f"height {level.height_m:.2f} m above ground: scale 1:{level.scale_denominator:.0f}, "
-            f"GSD {level.gsd_m * 100.0:.2f} cm\n"
-            f"  footprint {width:.1f} x {height:.1f} m ({width * height / 1e4:.2f} ha), "
-            f"base {level.base_m:.2f} m, strips {level.strip_spacing_m:.2f} m apart, "
-            f"a photo every {level.exposure_interval_s:.2f} s\n"
-            f"  expected from one pair, at 95 % of the image sides, 0.5 px: sigma X {sigma.x_m:.3f}, "
-            f"Y {sigma.y_m:.3f}, Z {sigma.z_m:.3f}, plane {sigma.plane_m:.3f} m\n"
-            f"  limit dz of the ministry's form: {level.dz_m * 100.0:.2f} cm\n"
-            f"  with c held and no control, each micrometre of c is {height_by_c(level):.3f} m of all heights"
+            say.told(
+                "planned.level",
+                **precision,
+                height=level.height_m,
+                scale=level.scale_denominator,
+                gsd=level.gsd_m * 100.0,
+                across=width,
+                along=height,
+                size=width * height / 1e4,
+                base=level.base_m,
+                apart=level.strip_spacing_m,
+                interval=level.exposure_interval_s,
+                dz=level.dz_m * 100.0,
+                by_c=height_by_c(level),
+            )
         )
     for target in targets:
-        stages = ", ".join(f"{name} {allowed:.3f} m" for name, allowed in error_budget(target.ep_m).items())
-        lines.append(f"error budget, {target.name}: {stages}")
-    return "\n".join([*lines, *(f"* {finding_text(finding, catalogue('en'))}" for finding in findings)])
+        stages = say("join.figures").join(
+            f"{say.stored(name)} {say.row([allowed], '.3f')} m"
+            for name, allowed in error_budget(target.ep_m).items()
+        )
+        lines.append(say("planned.budget", target=say.stored(target.name), stages=stages))
+    named = (replace(finding, subject=say.stored(finding.subject)) for finding in findings)
+    return "\n".join([*lines, *(f"* {finding_text(finding, say)}" for finding in named)])
 
 
 def _level(level: LevelGeometry) -> dict[str, Any]:
@@ -227,13 +245,17 @@ class Plan:
 
     def __repr__(self) -> str:
         """Say it for people."""
-        lines = [to_text(self.flight, self.targets, self.findings)]
+        return self.text(catalogue("en"))
+
+    def text(self, say: Catalogue) -> str:
+        """Say it for people, in a language."""
+        lines = [to_text(self.flight, self.targets, self.findings, say)]
         if self.wind is not None:
-            lines.append(WIND_TEXT.format(**self.wind))
+            lines.append(say.told("planned.wind", **self.wind))
         if self.farthest_m is not None:
-            lines.append(f"farthest photo {self.farthest_m:.0f} m from the take-off place")
+            lines.append(say.told("planned.farthest", away=self.farthest_m))
         if self.precision is not None:
-            lines.append(simulated_adjustment.to_text(self.precision))
+            lines.append(simulated_adjustment.to_text(self.precision, say))
         return "\n".join(lines)
 
     def write(self, folder: str | Path, mission: MissionOptions | None = None) -> list[str]:

@@ -13,6 +13,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, point_weights
 from photocal.base.arrays import Floats, Integers, picked
 from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.planning.area import grid
@@ -177,16 +178,15 @@ def to_json(result: SimulatedPrecision, survey: PrecisionOptions) -> dict[str, o
     }
 
 
-def to_text(result: SimulatedPrecision) -> str:
+def to_text(result: SimulatedPrecision, say: Catalogue) -> str:
     """Write a simulated adjustment for people."""
-    head = (
-        f"simulated adjustment, {result.method}: {result.images} photos, {result.points} points, "
-        f"{result.rays} rays"
-    )
+    counts = {name: getattr(result, name) for name in ("images", "points", "rays")}
+    head = say("planned.simulated", method=say(f"shown.{result.method}"), **counts)
     if result.reason:
-        return f"{head}\n  not determined: {result.reason}"
-    mean, worst = (" ".join(f"{v:.3f}" for v in part) for part in (result.mean_m, result.worst_m))
-    text = f"{head}\n  sigma X Y Z at {result.check} check points {mean} m, worst {worst} m"
+        return f"{head}\n{say('planned.not_determined', reason=say.stored(result.reason))}"
+    mean, worst = (say.row(part, ".3f") for part in (result.mean_m, result.worst_m))
+    text = f"{head}\n{say('planned.sigma', n=result.check, mean=mean, worst=worst)}"
     if result.camera_px:
-        text += "; camera " + ", ".join(f"{k} {v:.2f} px" for k, v in result.camera_px.items())
+        cells = (f"{name} {say.row([sigma], '.2f')} px" for name, sigma in result.camera_px.items())
+        text += say("planned.camera", figures=say("join.figures").join(cells))
     return text

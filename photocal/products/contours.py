@@ -16,6 +16,7 @@ from photocal.base.errors import ConfigurationError, InputMalformedError, Output
 from photocal.base.files import output_file, refusals
 from photocal.base.geopackage import changed_utc
 from photocal.base.operating_system import replace
+from photocal.findings.texts import Catalogue, catalogue
 from photocal.products.options import ContourOptions
 from photocal.products.raster import describe, system_wkt, terrain_source
 from photocal.products.terrain import HEIGHT_KINDS, Terrain, grid_of_points, read_terrain_points
@@ -62,14 +63,25 @@ class Contours:
 
     def __repr__(self) -> str:
         """Say it for people."""
+        return self.text(catalogue("en"))
+
+    def text(self, say: Catalogue) -> str:
+        """Say it for people, in a language."""
         made = self.figures()
-        text = (
-            f"{self.path}: {made['lines']} contours every {self.interval_m:g} m, {made['lowest_m']:g} to "
-            f"{made['highest_m']:g} m ({self.height_kind} heights), {made['index_lines']} of them index "
-            f"contours; {made['crs'] or 'no reference system'}"
+        ends = {"lowest": float(made["lowest_m"]), "highest": float(made["highest_m"])}
+        counts = {"lines": made["lines"], "index": made["index_lines"]}
+        system = made["crs"] or say("product.no_system")
+        text = say.told(
+            "product.contours",
+            file=self.path,
+            **counts,
+            **ends,
+            interval=float(self.interval_m),
+            heights=say.stored(self.height_kind),
+            system=system,
         )
         if self.path.suffix.lower() == ".dxf" and self.crs:
-            text += f"\nDXF names no reference system: it stands in {self.path.with_suffix('.prj').name}"
+            text += "\n" + say("product.beside", file=self.path.with_suffix(".prj").name)
         return text
 
 

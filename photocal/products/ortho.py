@@ -7,6 +7,7 @@ from typing import Any
 
 from photocal.base.console import numbers_of, progress
 from photocal.base.errors import ConfigurationError
+from photocal.findings.texts import Catalogue, catalogue
 from photocal.products import ortho_job
 from photocal.products.options import OrthoOptions
 from photocal.products.oriented import oriented
@@ -74,25 +75,27 @@ class Orthophoto:
 
     def __repr__(self) -> str:
         """Say it for people."""
+        return self.text(catalogue("en"))
+
+    def text(self, say: Catalogue) -> str:
+        """Say it for people, in a language."""
         grid, field_ = self.grid, self.displacement
         count = grid.columns * grid.rows
-        size = f"{grid.columns} x {grid.rows} cells of {grid.cell:g} m"
-        share = f"{100 * self.covered:.1f} % covered"
+        size = {"columns": grid.columns, "rows": grid.rows, "cell": float(grid.cell)}
+        how = {"resampling": say.stored(self.resampling), "heights": say.stored(self.height_kind)}
         lines = [
-            *self.remarks,
-            f"{self.path}: {size}, {self.resampling}, {share}, {self.height_kind} heights",
+            *map(say.stored, self.remarks),
+            say.told("product.ortho", file=self.path, **size, **how, covered=100.0 * self.covered),
         ]
-        lines += [f"  {name}: {100 * n / count:.1f} %" for name, n in self.cells.items()]
+        lines += [f"  {name}: {say.row([100 * n / count], '.1f')} %" for name, n in self.cells.items()]
         # Cells so many pixels wide leave pixels out.
         coarse = 2.0
         if grid.cell > coarse * self.pixel_m:
-            lines.append(
-                f"a cell is {grid.cell / self.pixel_m:.1f} pixels wide and takes the value of one place, no "
-                f"mean: fine patterns alias; {self.pixel_m:.2g} m cells show all that the images do"
-            )
+            pixels = float(grid.cell / self.pixel_m)
+            lines.append(say.told("product.coarse", pixels=pixels, size=float(self.pixel_m)))
         if field_ is not None:
-            figures = f"rms {field_.rms:.4g} m, largest {field_.largest:.4g} m"
-            lines.append(f"displacement by {self.compared_with}: {figures}")
+            sizes = {"rms": float(field_.rms), "largest": float(field_.largest)}
+            lines.append(say.told("product.displacement", other=self.compared_with, **sizes))
         return "\n".join(lines)
 
 

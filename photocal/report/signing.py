@@ -21,6 +21,7 @@ from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
 from photocal.base.files import write_file
 from photocal.base.operating_system import settings_folder
+from photocal.findings.texts import Catalogue, catalogue
 from photocal.report.keys import (
     Key,
     KnownKey,
@@ -56,13 +57,11 @@ class Stamped:
     authority: str
     verified: bool
 
-    def __str__(self) -> str:
+    def text(self, say: Catalogue) -> str:
         """Say it in a line."""
-        known = (
-            "" if self.verified else ", an authority that was not verified: name its root by --authorities"
-        )
-        by = printable(self.authority) or "an authority without a certificate"
-        return f"time stamp of {self.time:%Y-%m-%d %H:%M:%S} UTC by {by}{known}"
+        known = "" if self.verified else say("verified.stamp_unverified")
+        by = printable(self.authority) or say("verified.stamp_nobody")
+        return say("verified.stamp", time=f"{self.time:%Y-%m-%d %H:%M:%S}", by=by, known=known)
 
 
 def stamp(signature: Path, authority: str) -> Stamped:
@@ -219,18 +218,15 @@ class Authenticity:
     last_day: dt.date | None = None
 
     def __str__(self) -> str:
+        """Say it in an English sentence."""
+        return self.text(catalogue("en"))
+
+    def text(self, say: Catalogue) -> str:
         """Say it in a sentence: the key first, and the name between quotes."""
-        signed = f"signed with the key {self.fingerprint} by {quoted(self.name)}"
-        return {
-            "unsigned": "it is not signed",
-            "forged": f"{signed}, but {self.problems[0] if self.problems else 'not this'}",
-            "unknown": f"{signed}, not known here: compare the key with the issuer, then add --trust",
-            "changed": f"{signed}, but this name is known by another key",
-            "revoked": f"{signed}, but the key was {self.revoked}",
-            "expired": f"{signed}, but the key expired on {self.last_day}, and nothing proves that it signed "
-            "before: ask the issuer for a signature with a time stamp, and name its root by --authorities",
-            "trusted": f"{signed}, which is known",
-        }[self.trust]
+        signed = say("verified.signed", fingerprint=self.fingerprint, name=quoted(self.name))
+        reason = self.problems[0] if self.problems else say("verified.not_this")
+        why = {"reason": reason, "day": self.last_day, "revoked": say.stored(str(self.revoked))}
+        return say(f"verified.{self.trust}", signed=signed, **why)
 
 
 def sign(folder: Path, number: str, now: dt.datetime, passphrase: str = "") -> tuple[Key, str]:

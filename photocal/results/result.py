@@ -19,6 +19,7 @@ from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_folder
 from photocal.base.tables import package
 from photocal.block.model import InputFile, Repetition
+from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.camera import MOTION, SHAKE, Camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.results.plot import Plots
@@ -324,93 +325,84 @@ class Result(Figures):
 
     def __repr__(self) -> str:
         """What a person wants to know first."""
-        test = self.global_test
-        counts = (
-            f"{self.observations} observations, {self.unknowns} unknowns, "
-            f"{self.degrees_of_freedom} degrees of freedom"
-        )
-        lines = [f"{self.block.name}: converged after {self.iterations} iterations, {counts}"]
-        if test:
-            verdict = "accepted" if test.accepted else "REJECTED"
-            lines.append(
-                f"chi-squared {self.chi_squared:.2f}, expected {test.lower:.1f} to {test.upper:.1f} "
-                f"({test.probability:.0%}): {verdict}; a posteriori variance factor {self.sigma0_squared:.4f}"
-            )
-        elif self.sigma0_squared is not None:
-            lines.append(
-                f"chi-squared {self.chi_squared:.2f}, a posteriori variance factor "
-                f"{self.sigma0_squared:.4f}: global test not claimed, standard deviations are assumed or "
-                "from the same residuals"
-            )
+        return self.text(catalogue("en"))
+
+    def text(self, say: Catalogue) -> str:
+        """What a person wants to know first, in a language."""
+        counts = {name: getattr(self, name) for name in ("iterations", "observations", "unknowns")}
+        freedom = self.degrees_of_freedom
+        lines = [say("result.head", block=self.block.name, **counts, freedom=freedom)]
+        if self.sigma0_squared is not None or self.global_test:
+            lines.append(self._test_text(say))
         if self.repetition is not None:
             r, unit = self.repetition, self.block.observation_unit
-            spread = "" if r.sigma is None else f"; sigma of one {r.sigma[0]:.3g}, {r.sigma[1]:.3g} {unit}"
-            lines.append(
-                f"{r.readings} readings, {r.rejected} beyond {r.limit:g} {unit} rejected, "
-                f"{r.least} to {r.most} of a point in an image stay{spread}"
-            )
+            sigmas = None if r.sigma is None else {"x": float(r.sigma[0]), "y": float(r.sigma[1])}
+            spread = "" if sigmas is None else say.told("result.spread", **sigmas, unit=unit)
+            kept = {"readings": r.readings, "rejected": r.rejected, "least": r.least, "most": r.most}
+            lines.append(say.told("result.readings", **kept, limit=float(r.limit), unit=unit, spread=spread))
         for name, camera in self.cameras.items():
-            lines.append(f"camera {name} ({camera.model}, {camera.unit})")
+            lines.append(say("result.camera", camera=name, model=camera.model, unit=camera.unit))
             lines += [
-                f"  {key:<3}{camera.value(key):>15.8g}  +- {self._sigmas(camera.sigma_of(key))}"
+                f"  {key:<3}{say.row([camera.value(key)], '>15.8g')}  +- "
+                f"{self._sigmas(camera.sigma_of(key), say)}"
                 for key in camera.free
             ]
         for readout in self.readouts:
+            sizes = {"readout": 1e3 * readout.value, "sigma": 1e3 * readout.sigma, "effect": readout.effect}
+            kind = say("result.rolling" if readout.estimated else "result.global")
+            more = {"way": readout.way, "p": readout.p_value}
             unit = self.cameras[readout.camera].unit
             lines.append(
-                f"camera {readout.camera} has a {'rolling' if readout.estimated else 'global'} shutter: "
-                f"readout {1e3 * readout.value:.3f} +- {1e3 * readout.sigma:.3f} ms, "
-                f"{readout.effect:.3g} {unit} in the image, {readout.way:.3g} m of flight; "
-                f"a global one has p {readout.p_value:.2g}"
+                say.told("result.shutter", camera=readout.camera, kind=kind, unit=unit, **sizes, **more)
             )
-        for head in self.heads:
-            turns, place, later = (
-                " ".join(
-                    f"{factor * head.values[key].value:.4g} +- {factor * head.values[key].sigma:.2g}"
-                    for key in keys
-                )
-                for keys, factor in ((TURNS, 3600.0), (CENTRES, 1000.0), (("time",), 1000.0))
-            )
-            both = (
-                f"; {head.common} rays in both agree to {head.registration_px:.2f} px" if head.common else ""
-            )
-            lines.append(
-                f"camera {head.camera} on the frame of {head.of}, {head.exposures} exposures: centre {place} "
-                f"mm, {turns} arcsec from the turn that was given, later by {later} ms{both}"
-            )
+        lines += [_head_text(head, say) for head in self.heads]
         lines += [
-            f"sigma of {component.name}: {component.factor:.3f} +- {component.sigma:.3f} times the given one"
+            say.told("result.component", name=component.name, factor=component.factor, sigma=component.sigma)
             for component in self.variance_components
             if component.sigma is not None
         ]
-        if self.mean_precision_m.get("proportional"):
-            mean = self.mean_precision_m
-            lines.append(
-                f"points: mean sigma {1e3 * mean['arithmetic']:.3g} mm, range {1e3 * mean['spread']:.3g} mm, "
-                f"1 part in {mean['proportional']:.0f} of the object"
-            )
+        return "\n".join([*lines, *self._points_text(say)])
+
+    def _test_text(self, say: Catalogue) -> str:
+        """Say the global test."""
+        chi, factor = self.chi_squared, self.sigma0_squared
+        if not (test := self.global_test):
+            return say.told("result.unclaimed", chi=chi, factor=factor)
+        verdict = say("result.accepted" if test.accepted else "result.rejected")
+        span = {"lower": test.lower, "upper": test.upper, "probability": test.probability}
+        return say.told("result.test", chi=chi, factor=factor, **span, verdict=verdict)
+
+    def _points_text(self, say: Catalogue) -> list[str]:
+        """Say the precision of the points, and what control and checks show."""
+        lines = list[str]()
+        mean = self.mean_precision_m
+        if mean.get("proportional"):
+            sizes = {"sigma": 1e3 * mean["arithmetic"], "range": 1e3 * mean["spread"]}
+            lines.append(say.told("result.points", **sizes, parts=float(mean["proportional"])))
         control = self.control_residuals
         if control is not None and control["rmse_m"] is not None:
             expected = control["expected_at_check_points_m"]
-            more = "" if expected is None else f", by Hottier's K {1e3 * expected:.3g} mm at check points"
-            lines.append(
-                f"{control['n']:.0f} control points: residuals of {1e3 * control['rmse_m']:.3g} mm{more}"
-            )
+            more = "" if expected is None else say.told("result.hottier", expected=1e3 * expected)
+            rmse_mm = 1e3 * control["rmse_m"]
+            lines.append(say.told("result.control", n=int(control["n"] or 0), rmse=rmse_mm, more=more))
         if self.rejected:
-            lines.append(f"{len(self.rejected)} observation(s) rejected as gross errors")
-        rmse = [(axis, value) for axis, value in self.checks.rmse_m.items() if value is not None]
+            lines.append(say("result.gross", n=len(self.rejected)))
         if self.checks.n:
-            shown = ", ".join(f"{axis} {value * 1000:.1f}" for axis, value in rmse)
-            lines.append(f"check points: {self.checks.n}, RMSE {shown} mm")
+            rmse = [(axis, value) for axis, value in self.checks.rmse_m.items() if value is not None]
+            cells = (f"{axis} {say.row([value * 1000], '.1f')}" for axis, value in rmse)
+            lines.append(say("result.checks", n=self.checks.n, rmse=say("join.figures").join(cells)))
         if self.checks.lengths:
             lengths = self.checks.lengths
             worst = 1e3 * max(abs(length.error) for length in lengths)
-            lines.append(f"check lengths: {len(lengths)}, largest length measurement error {worst:.2f} mm")
-        return "\n".join(lines)
+            lines.append(say.told("result.lengths", n=len(lengths), worst=worst))
+        return lines
 
-    def _sigmas(self, sigma: float) -> str:
+    def _sigmas(self, sigma: float, say: Catalogue | None = None) -> str:
         """A standard deviation a priori, and scaled where the global test rejects that."""
-        return f"{sigma:.3g}" if self.scale is None else f"{sigma:.3g} (scaled {self.scale * sigma:.3g})"
+        say = say or catalogue("en")
+        if self.scale is None:
+            return say.row([sigma], ".3g")
+        return say.told("result.scaled", sigma=float(sigma), scaled=float(self.scale * sigma))
 
     def tables(self) -> dict[str, Any]:
         """Images, points and residuals as Arrow tables, as in the run folder (degrees, m, unit of rays)."""
@@ -521,3 +513,16 @@ class Result(Figures):
         """Accepted observations in the images of a camera."""
         part = self.residuals.accepted
         return part.rows(np.flatnonzero(np.isin(part.image, self.images_of(camera))))
+
+
+def _head_text(head: AdjustedHead, say: Catalogue) -> str:
+    """Say where a camera of a frame is."""
+    turns, place, later = (
+        " ".join(
+            f"{factor * head.values[key].value:.4g} +- {factor * head.values[key].sigma:.2g}" for key in keys
+        ).replace(".", say.mark)
+        for keys, factor in ((TURNS, 3600.0), (CENTRES, 1000.0), (("time",), 1000.0))
+    )
+    both = say.told("result.both", n=head.common, apart=head.registration_px) if head.common else ""
+    who = {"camera": head.camera, "of": head.of, "exposures": head.exposures}
+    return say("result.head_of", **who, place=place, turns=turns, later=later, both=both)

@@ -191,7 +191,7 @@ def adopt(
     raises PhotocalError: for a project that cannot be read or adjusted.
     """
     from photocal.analysis.analyse_run import analyse_run
-    from photocal.findings.texts import catalogue, finding_text, plain
+    from photocal.findings.texts import catalogue, finding_json, finding_text, plain
     from photocal.report.certificate_metadata import read_particulars
     from photocal.report.issue import issue
 
@@ -228,6 +228,7 @@ def adopt(
         "control": control,
         "report": report_figures(report, foreign, result, control),
         "exterior": exterior_figures(foreign, result),
+        "findings": [finding_json(finding, catalogue("en")) for finding in hidden],
         "hidden": [finding_text(finding, catalogue("en"), plain) for finding in hidden],
     }
     write_json(output / FIGURES, figures)

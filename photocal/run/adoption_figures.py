@@ -9,6 +9,7 @@ import numpy as np
 from photocal.adjustment.rig import OF_HEAD
 from photocal.base.arrays import Flags, Floats
 from photocal.exchange.foreign_project import ForeignProject
+from photocal.findings.texts import Catalogue, catalogue, finding_text, findings_of, plain
 from photocal.geometry.camera import MODELS, PARAMETERS
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.results.result import Result
@@ -185,7 +186,7 @@ def exterior_figures(foreign: ForeignProject, result: Result) -> dict[str, Any] 
     }
 
 
-def _parameter(camera: dict[str, Any], name: str, figures: dict[str, Any]) -> str:
+def _parameter(camera: dict[str, Any], name: str, figures: dict[str, Any], say: Catalogue) -> str:
     """A line of a camera, its distortion as the program has it."""
     power = -MODELS[camera["model"]].power(name) if camera["normalised"] else 0
     distances = camera["parameters"].get("c", {"theirs": 1.0, "ours": 1.0})
@@ -194,9 +195,9 @@ def _parameter(camera: dict[str, Any], name: str, figures: dict[str, Any]) -> st
     sigma = figures["sigma"] and figures["sigma"] * by
     theirs = rounded(figures["theirs"] * theirs_by, promised or sigma)
     theirs += f" +- {promised:.2g}" if promised else ""
-    ours = rounded(figures["ours"] * by, sigma) + (f" +- {sigma:.2g}" if sigma else " held")
-    away = f"{figures['difference_in_sigmas']:+.2f} sd" if sigma else ""
-    return f"  {name:<4}{theirs:>28}{ours:>28}{away:>14}"
+    ours = rounded(figures["ours"] * by, sigma) + (f" +- {sigma:.2g}" if sigma else say("adopted.held"))
+    away = say("adopted.apart", sigmas=f"{figures['difference_in_sigmas']:+.2f}") if sigma else ""
+    return f"  {name:<4}" + f"{theirs:>28}{ours:>28}{away:>14}".replace(".", say.mark)
 
 
 def rounded(value: float, sigma: float | None) -> str:
@@ -209,69 +210,76 @@ def rounded(value: float, sigma: float | None) -> str:
     return f"{value:.{max(math.floor(math.log10(abs(value))) - last + 1, 1)}g}"
 
 
-def _report_lines(figures: dict[str, Any] | None) -> list[str]:
+def _report_lines(figures: dict[str, Any] | None, say: Catalogue) -> list[str]:
     """Write them side by side."""
     if figures is None:
         return []
-    lines = [f"report {figures['file']} of {figures['program']}, beside ours:"]
+    lines = [say("adopted.report", file=figures["file"], program=figures["program"])]
     for row in figures["rows"]:
         theirs, ours = (
-            "-" if row[key] is None else f"{row[key]:.4g} {row['unit']}".strip() for key in ("theirs", "ours")
+            "-" if row[key] is None else f"{say.row([row[key]], '.4g')} {row['unit']}".strip()
+            for key in ("theirs", "ours")
         )
-        lines.append(f"  {row['what']:<44}{theirs:>14}{ours:>14}")
+        lines.append(f"  {say.stored(row['what']):<44}{theirs:>14}{ours:>14}")
     return lines
 
 
-def adoption_text(figures: dict[str, Any]) -> str:
+def adoption_text(figures: dict[str, Any], say: Catalogue | None = None) -> str:
     """Write it for people, side by side."""
-    size = f"{figures['images']} images, {figures['points']} points, {figures['observations']} observations"
+    say = say or catalogue("en")
+    joint = say("join.figures")
+    counts = {key: figures[key] for key in ("program", "images", "points", "observations")}
     lines = [
-        f"{figures['program']}: {size}, sigma0^2 {figures['sigma0_squared'] or 0:.3f}",
-        *(f"note: {remark}" for remark in figures["remarks"]),
+        say.told("adopted.head", **counts, factor=float(figures["sigma0_squared"] or 0)),
+        *(say("adopted.note", text=say.stored(remark)) for remark in figures["remarks"]),
     ]
     for name, camera in figures["cameras"].items():
-        unit = camera["unit"] + ("; distortion of coordinates divided by c" if camera["normalised"] else "")
-        lines.append(f"camera {name} ({unit})          theirs            ours +- sigma     difference")
-        lines += [_parameter(camera, key, parameter) for key, parameter in camera["parameters"].items()]
+        unit = camera["unit"] + (say("adopted.divided") if camera["normalised"] else "")
+        lines.append(say("adopted.camera", camera=name, unit=unit))
+        lines += [_parameter(camera, key, parameter, say) for key, parameter in camera["parameters"].items()]
     for head in figures["heads"]:
         turns, places = (
-            ", ".join(
+            joint.join(
                 f"{factor * value['difference']:+.2f} +- {factor * value['sigma']:.2f}"
                 for key, value in head["values"].items()
                 if key.startswith("turn") == turning
-            )
+            ).replace(".", say.mark)
             for turning, factor in ((True, 3600.0), (False, 1000.0))
         )
-        lines.append(
-            f"head {head['camera']} on {head['of']} ({head['exposures']} exposures), ours minus theirs: "
-            f"turned by {turns} arcsec, centre {places} mm (x, y, z)"
-        )
-    for row in figures["sigmas"]:
-        stated = "not stated" if row["stated"] is None else f"stated {row['stated']:.3g} {row['unit']}"
-        kept = (
-            "" if not row["stated"] or row["found"] is None else f": {row['found'] / row['stated']:.2f} times"
-        )
-        shown = "-" if row["found"] is None else f"{row['found']:.3g} {row['unit']}"
-        lines.append(f"{row['group']} ({row['n']}): {stated}, found {shown}{kept}")
-    lines += _report_lines(figures.get("report"))
+        who = {key: head[key] for key in ("camera", "of", "exposures")}
+        lines.append(say("adopted.head_of", **who, turns=turns, places=places))
+    lines += [_group_line(row, say) for row in figures["sigmas"]]
+    lines += _report_lines(figures.get("report"), say)
     shift = figures["positions"]
     if shift is not None and shift["estimated"]:
-        text = ", ".join(f"{shift['common_shift_m'][a]:+.3f} +- {shift['sigma_m'][a]:.3f}" for a in "xyz")
+        both = ((shift["common_shift_m"][a], shift["sigma_m"][a]) for a in "xyz")
+        text = joint.join(f"{value:+.3f} +- {sigma:.3f}" for value, sigma in both).replace(".", say.mark)
         # A common shift of the positions is told as one of the datum from here on, in its standard
         # deviations.
         shifted = 3.0
         large = any(abs(shift["common_shift_m"][a]) > shifted * shift["sigma_m"][a] for a in "xyz")
-        verdict = "positions and control are not of one datum" if large else "not significant"
-        lines.append(f"all positions, adjusted minus given: {text} m (X, Y, Z): {verdict}")
+        verdict = say("adopted.datum" if large else "adopted.same_datum")
+        lines.append(say("adopted.shift", figures=text, verdict=verdict))
     for row in figures["control"]:
-        cells = [
+        theirs, ours = (
             "-" if row[key] is None else ", ".join(f"{1e3 * v:+.0f}" for v in row[key])
             for key in ("theirs_m", "ours_m")
-        ]
-        promised = ", ".join(f"{1e3 * v:.0f}" for v in row["sigma_m"])
-        lines.append(
-            f"{row['role']} {row['point']} ({row['rays']} rays): theirs {cells[0]}; ours {cells[1]} mm "
-            f"(+- {promised})"
         )
-    lines += [f"hidden: {sentence}" for sentence in figures["hidden"]]
+        promised = ", ".join(f"{1e3 * v:.0f}" for v in row["sigma_m"])
+        told = {"role": say.stored(row["role"]), "point": row["point"], "rays": row["rays"]}
+        lines.append(say("adopted.point", **told, theirs=theirs, ours=ours, sigma=promised))
+    found = findings_of(figures["findings"], "adoption.json")
+    lines += [say("adopted.hidden", text=finding_text(finding, say, plain)) for finding in found]
     return "\n".join(lines)
+
+
+def _group_line(row: dict[str, Any], say: Catalogue) -> str:
+    """Say what a group of observations was promised to be, and what its residuals show."""
+    stated, found, unit = row["stated"], row["found"], row["unit"]
+    shown = "-" if found is None else f"{say.row([found], '.3g')} {unit}"
+    times = "" if not stated or found is None else say.told("adopted.times", ratio=found / stated)
+    promised = (
+        say("adopted.unstated") if stated is None else say.told("adopted.stated", value=stated, unit=unit)
+    )
+    group = say.stored(row["group"])
+    return say("adopted.group", group=group, n=row["n"], stated=promised, found=shown, times=times)

@@ -11,6 +11,7 @@ import numpy as np
 from photocal.analysis.stability.repeatability import Occasion, Repeatability, repeatability
 from photocal.base.checked_toml import parse_toml
 from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
+from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
 from photocal.project import read_project
 from photocal.report.certificate_metadata import given_particulars
@@ -183,16 +184,14 @@ def exchanged(flights: Sequence[Calibrated], done: Callable[[], None] = lambda: 
     return tuple(uses)
 
 
-def uses_text(uses: Sequence[Use]) -> str:
+def uses_text(uses: Sequence[Use], say: Catalogue) -> str:
     """Write them for people: one line for each pair."""
-    lines = ["camera and mounting of one flight used in another, direct georeferencing at its check points"]
+    lines = [say("compared.uses")]
     for use in uses:
         cells = ", ".join(
             f"{1e3 * r:.0f}/{1e3 * p:.0f}" for r, p in zip(use.rmse_m, use.predicted_m, strict=True)
         )
-        where = "itself" if use.of == use.used_in else use.used_in
-        lines.append(
-            f"  {use.of} in {where}: RMSE/predicted X, Y, Z {cells} mm at {use.points} points; errors "
-            f"{use.ratio:.2f} times the prediction"
-        )
+        where = say("compared.itself") if use.of == use.used_in else use.used_in
+        of = {"of": use.of, "used_in": where, "points": use.points}
+        lines.append(say.told("compared.use", **of, cells=cells, ratio=use.ratio))
     return "\n".join(lines)

@@ -10,7 +10,7 @@ from typing import Any
 from photocal.base.errors import PhotocalError
 from photocal.exchange.formats import read_any_block
 from photocal.findings.finding import Finding
-from photocal.findings.texts import catalogue, finding_text, plain
+from photocal.findings.texts import Catalogue, catalogue, finding_text, plain
 from photocal.findings.verdict import Verdict
 from photocal.report.certificate import overall
 from photocal.report.certificate_metadata import Metadata
@@ -44,13 +44,16 @@ def repeated_findings(
     told: tuple[Finding, ...],
     particulars: Metadata,
     done: Callable[[], None] = lambda: None,
+    say: Catalogue | None = None,
 ) -> RepeatedFindings:
     """Look again for everything that a certificate tells beside its figures.
 
     run: repeated from the inputs.
     source: the inputs.
     told: warnings and notes of the certificate.
+    say: the language of the sentences; English where not given.
     """
+    say = say or catalogue("en")
     with tempfile.TemporaryDirectory(prefix="photocal-verify-") as name:
         # Only what is certified takes part, whatever else lies beside it.
         carry(run.result.inputs, source, Path(name))
@@ -70,15 +73,15 @@ def repeated_findings(
     unchecked = any(finding.code == "not-checked" for finding in told)
     amiss: dict[bool, list[str]] = {True: [], False: []}
     for finding in again:
-        if finding.stage in found and (text := _amiss(finding, told)):
+        if finding.stage in found and (text := _amiss(finding, told, say)):
             amiss[examined and not (unchecked and finding.stage == "georeferencing")].append(text)
     for finding in told:
         if finding.stage in found and not any(same_matter(finding, other) for other in again):
-            amiss[True].append(f"{finding.code} {finding.subject}".strip() + " is stated and was not found")
+            amiss[True].append(say("verified.not_found", name=f"{finding.code} {finding.subject}".strip()))
     known = tuple(derived_figures(run, camera, particulars) for camera in run.result.cameras)
     return RepeatedFindings(
         overall(run, known, again),
-        tuple(f"findings: {text}" for text in amiss[True]),
+        tuple(say("verified.false", text=text) for text in amiss[True]),
         tuple(amiss[False]),
         _taken(others, refusal),
     )
@@ -107,16 +110,16 @@ def _fixed_percent(findings: list[Finding]) -> float:
     return next((share for share in shares if isinstance(share, float)), 100.0)
 
 
-def _amiss(finding: Finding, told: tuple[Finding, ...]) -> str:
+def _amiss(finding: Finding, told: tuple[Finding, ...], say: Catalogue) -> str:
     """Say what a certificate does not tell of a finding as it is; empty where it does."""
     name = f"{finding.code} {finding.subject}".strip()
     other = next((other for other in told if same_matter(finding, other)), None)
     if other is None:
-        return f"not stated: {name}: {finding_text(finding, catalogue('en'), plain)}"
+        return say("verified.not_stated", name=name, text=finding_text(finding, say, plain))
     if other.severity != finding.severity:
-        return f"{name} is stated as {other.severity} and is {finding.severity}"
+        return say("verified.stated_otherwise", name=name, stated=other.severity, found=finding.severity)
     places = [key for key in (*finding.figures, *other.figures) if not _alike(finding, other, key)]
-    return f"{name} is stated with another {places[0]}" if places else ""
+    return say("verified.stated_with", name=name, figure=places[0]) if places else ""
 
 
 def _alike(finding: Finding, other: Finding, key: str) -> bool:

@@ -10,7 +10,7 @@ import json
 import math
 import shlex
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -18,6 +18,7 @@ from typing import Any
 
 from photocal.base.errors import ConfigurationError, InputNotFoundError, OutputError, PhotocalError
 from photocal.base.files import refusals, rows_text
+from photocal.findings.texts import Catalogue, catalogue
 from photocal.studies.study import Apart, Command, Figure, PrintedTable, Study, read_study
 
 RESULTS = "results"
@@ -224,32 +225,38 @@ def as_record(repeated: Repeated) -> dict[str, Any]:
     }
 
 
-def as_text(repeated: Repeated) -> str:
+def as_text(repeated: Repeated, say: Catalogue) -> str:
     """Write a comparison for people: each table in a line, and below it what does not agree."""
-    lines = [f"{repeated.study.title} ({repeated.study.year})"]
+    study, own = repeated.study, repeated.study.languages.get(say.language)
+    lines = [f"{say.stored(study.title, own)} ({study.year})"]
     for table in repeated.tables:
-        lines.append(f"  {table.printed.title}: {table.agreeing} of {len(table.figures)} agree")
+        title, n = say.stored(table.printed.title, own), len(table.figures)
+        lines.append(say("studied.table", title=title, agreeing=table.agreeing, n=n))
         differing = [figure for figure in table.figures if not figure.agrees]
-        lines += [f"    {line}" for line in grouped(differing)]
-    lines.append("{} of {} printed figures agree".format(*repeated.printed))
-    return "\n".join(lines)
+        lines += [f"    {line}" for line in grouped(differing, own, say)]
+    agreeing, of = repeated.printed
+    return "\n".join([*lines, say("studied.all", agreeing=agreeing, n=of)])
 
 
-def grouped(figures: Iterable[ComparedFigure]) -> list[str]:
-    """Name the differing figures, those of one reason in one line."""
+def grouped(figures: Iterable[ComparedFigure], own: Mapping[str, str] | None, say: Catalogue) -> list[str]:
+    """Name the differing figures, those of one reason in one line; `own`: texts of the study."""
     by_reason: dict[str, list[str]] = {}
     for one in figures:
-        said = f"{one.label} {one.column} {one.printed} (ours {shown(one.ours)})"
-        by_reason.setdefault(one.why or "without a known reason", []).append(said)
+        what = {"label": one.label, "column": one.column, "printed": one.printed}
+        reason = say.stored(one.why, own) if one.why else say("studied.unexplained")
+        by_reason.setdefault(reason, []).append(say("studied.figure", **what, ours=shown(one.ours, say)))
     return [
-        f"{why}: {'; '.join(said[:6])}" + (f" and {len(said) - 6} more" if len(said) > 6 else "")
+        f"{why}: {'; '.join(said[:6])}" + (say("join.more", count=len(said) - 6) if len(said) > 6 else "")
         for why, said in by_reason.items()
     ]
 
 
-def shown(ours: float | str | None) -> str:
+def shown(ours: float | str | None, say: Catalogue | None = None) -> str:
     """Write a figure of ours."""
-    return "none" if ours is None else ours if isinstance(ours, str) else f"{ours:.6g}"
+    say = say or catalogue("en")
+    if ours is None:
+        return say("studied.none")
+    return ours if isinstance(ours, str) else say.row([ours], ".6g")
 
 
 # Runs the arguments of a command in the current folder.

@@ -113,6 +113,7 @@ class Study(Table):
     """A published study.
 
     year: of print, or of its data where the print has none.
+    languages: titles and reasons in other languages, by language and English text, with places for values.
     """
 
     title: str
@@ -126,6 +127,7 @@ class Study(Table):
     table: tuple[PrintedTable, ...] = ()
     picture: tuple[DrawnPicture, ...] = ()
     not_repeated: tuple[NotRepeated, ...] = ()
+    languages: dict[str, dict[str, str]] = Field(default_factory=dict)
 
 
 def read_study(folder: Path) -> Study:

@@ -34,6 +34,7 @@ from photocal.analysis.stability.methods import (
 from photocal.base.arrays import Floats, as_plain
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.base.policy import policy
+from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.camera import PARAMETERS, Camera
 
 
@@ -201,34 +202,34 @@ def _against(statistic: float, freedom: int) -> ChiSquared:
     return ChiSquared(statistic, freedom, float(chi2.sf(statistic, freedom)))
 
 
-def joint_text(joint: JointComparison, level: float) -> str:
+def joint_text(joint: JointComparison, level: float, say: Catalogue) -> str:
     """Write the tests for people; those whose probability is below the level are marked."""
     from photocal.findings.document import Section, table, text
 
     rows = []
     for (first, second), one in joint.pairs.items():
-        moved = "-" if one.rms_px is None else f"{one.rms_px:.2f}"
-        rows.append((f"{first}-{second}", *_cells(one.vector, level), *_cells(one.image, level), moved))
-    heads = ("", "chi2", "of", "p", "in the image", "of", "p", "px")
-    note = "left: the parameters as one vector; right: what they do in the image when the bundle may turn, "
-    note += "and its root mean square; * not the same camera"
-    made = [text([Section("", (table("equal as parameter vectors", heads, rows, note),))])] if rows else []
+        moved = "-" if one.rms_px is None else say.row([one.rms_px], ".2f")
+        cells = (*_cells(one.vector, level, say), *_cells(one.image, level, say))
+        rows.append((f"{first}-{second}", *cells, moved))
+    heads, note = say("compared.vectors_heads").split("|"), say("compared.vectors_note")
+    made = [text([Section("", (table(say("compared.vectors"), heads, rows, note),))])] if rows else []
     if joint.together is not None:
-        chi, of, p = _cells(joint.together.vector, level)
-        told = f"all calibrations as one: chi2 {chi} of {of}, p {p.strip()}"
+        chi, of, p = _cells(joint.together.vector, level, say)
+        told = say("compared.together", chi=chi, of=of, p=p.strip())
         if joint.together.image is not None:
-            chi, of, p = _cells(joint.together.image, level)
-            told += f"; in the image chi2 {chi} of {of}, p {p.strip()}"
-            told += f", {joint.together.rms_px:.2f} px about their mean"
+            chi, of, p = _cells(joint.together.image, level, say)
+            rms = joint.together.rms_px
+            told += say.told("compared.together_image", chi=chi, of=of, p=p.strip(), rms=rms)
         made.append(told)
     return "\n".join(made)
 
 
-def _cells(test: ChiSquared | None, level: float) -> tuple[str, str, str]:
+def _cells(test: ChiSquared | None, level: float, say: Catalogue) -> tuple[str, str, str]:
     if test is None:
         return ("-", "", "")
     mark = "*" if test.p_value < level else " "
-    return f"{test.chi_squared:.1f}", str(test.degrees_of_freedom), f"{test.p_value:.3g}{mark}"
+    chi, p = say.row([test.chi_squared], ".1f"), say.row([test.p_value], ".3g")
+    return chi, str(test.degrees_of_freedom), f"{p}{mark}"
 
 
 SCHEMA = "photocal.comparison/1"
@@ -266,8 +267,12 @@ class Compared:
 
     def __repr__(self) -> str:
         """Say it for people: a matrix for each method, then what differs."""
+        return self.text(catalogue("en"))
+
+    def text(self, say: Catalogue) -> str:
+        """Say it for people, in a language."""
         level = 1.0 - policy.confidence
-        told = (_text(self.asked, self.pairs, self.followed), joint_text(self.joint, level))
+        told = (_text(self.asked, self.pairs, self.followed, say), joint_text(self.joint, level, say))
         return "\n\n".join(filter(None, told))
 
 
@@ -324,28 +329,36 @@ def _figures(
             for pair in pairs
         ],
         "published": [as_plain(row) | {"follows": row.follows} for row in followed],
-        "findings": list(sentences(pairs, how.thresholds_px, followed)),
+        "findings": list(sentences(pairs, how.thresholds_px, followed, catalogue("en"))),
     }
 
 
-def _text(asked: CameraFile, pairs: tuple[CalibrationPair, ...], followed: tuple[Followed, ...]) -> str:
+def _text(
+    asked: CameraFile,
+    pairs: tuple[CalibrationPair, ...],
+    followed: tuple[Followed, ...],
+    say: Catalogue,
+) -> str:
     names = tuple(calibration.id for calibration in asked.calibrations)
-    blocks = [_matrix(pairs, names, k) for k in range(len(pairs[0].figures))]
+    blocks = [_matrix(pairs, names, k, say) for k in range(len(pairs[0].figures))]
     if any(figure.sigma_px is not None for pair in pairs for figure in pair.figures):
-        blocks.append("value +- its standard deviation, px; * differs beyond the noise of both (95 %)")
-    return "\n\n".join([*blocks, "\n".join(sentences(pairs, asked.comparison.thresholds_px, followed))])
+        blocks.append(say("compared.sigmas"))
+    told = sentences(pairs, asked.comparison.thresholds_px, followed, say)
+    return "\n\n".join([*blocks, "\n".join(told)])
 
 
-def _matrix(pairs: tuple[CalibrationPair, ...], names: tuple[str, ...], which: int) -> str:
+def _matrix(pairs: tuple[CalibrationPair, ...], names: tuple[str, ...], which: int, say: Catalogue) -> str:
     from photocal.findings.document import Section, table, text
 
-    cells = {(pair.first, pair.second): _cell(pair.figures[which]) for pair in pairs}
+    cells = {(pair.first, pair.second): _cell(pair.figures[which], say) for pair in pairs}
     kind = pairs[0].figures[which]
     rows = [(second, *(cells.get((first, second), "") for first in names[:-1])) for second in names[1:]]
-    return text([Section("", (table(f"{kind.method}, {kind.definition}, px", ["", *names[:-1]], rows),))])
+    title = say("compared.matrix", method=kind.method, definition=say.stored(kind.definition))
+    return text([Section("", (table(title, ["", *names[:-1]], rows),))])
 
 
-def _cell(figure: ComparisonFigure) -> str:
+def _cell(figure: ComparisonFigure, say: Catalogue) -> str:
     if figure.sigma_px is None:
-        return f"{figure.value_px:.2f} "
-    return f"{figure.value_px:.2f}+-{figure.sigma_px:.2f}{'*' if figure.different else ' '}"
+        return f"{say.row([figure.value_px], '.2f')} "
+    both = say.row([figure.value_px, figure.sigma_px], ".2f", "+-")
+    return f"{both}{'*' if figure.different else ' '}"

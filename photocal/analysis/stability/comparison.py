@@ -14,6 +14,7 @@ from photocal.base.arrays import Floats
 from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError
 from photocal.base.policy import policy
+from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
 
 Wobble = tuple[IdealImage, ...]
@@ -230,7 +231,10 @@ def likeness(figure: ComparisonFigure, thresholds_px: Sequence[float]) -> float 
 
 
 def sentences(
-    pairs: tuple[CalibrationPair, ...], thresholds_px: Sequence[float], followed: tuple[Followed, ...]
+    pairs: tuple[CalibrationPair, ...],
+    thresholds_px: Sequence[float],
+    followed: tuple[Followed, ...],
+    say: Catalogue,
 ) -> tuple[str, ...]:
     """Put a comparison into words.
 
@@ -242,17 +246,18 @@ def sentences(
         figures = [pair.figures[k] for pair in pairs]
         alike = sum(figure.value_px <= loosest for figure in figures)
         beyond = [figure.different for figure in figures if figure.different is not None]
-        noise = f"; {sum(beyond)} of {len(beyond)} differ beyond their noise" if beyond else ""
+        noise = say("compared.noise", n=sum(beyond), all=len(beyond)) if beyond else ""
         worst = max(range(len(pairs)), key=lambda i: figures[i].value_px)
+        of = {"method": kind.method, "definition": say.stored(kind.definition)}
+        pair = {"first": pairs[worst].first, "second": pairs[worst].second}
+        sizes = {"limit": float(loosest), "worst": figures[worst].value_px}
         texts.append(
-            f"{kind.method} ({kind.definition}): {alike} of {len(pairs)} pairs within {loosest:g} px, "
-            f"largest {figures[worst].value_px:.2f} px ({pairs[worst].first}-{pairs[worst].second}){noise}."
+            say.told("compared.kind", **of, **pair, **sizes, alike=alike, pairs=len(pairs), noise=noise)
         )
-    texts += [
-        f"Pair {compared.first}-{compared.second}: the printed {compared.method} ({compared.definition}) of "
-        f"{compared.printed_px:g} px does not follow from its parameters, which give "
-        f"{compared.computed_px:.2f} px."
-        for compared in followed
-        if not compared.follows
-    ]
+    for row in followed:
+        if not row.follows:
+            of = {"method": row.method, "definition": say.stored(row.definition)}
+            pair = {"first": row.first, "second": row.second}
+            sizes = {"printed": row.printed_px, "computed": row.computed_px}
+            texts.append(say.told("compared.published", **of, **pair, **sizes))
     return tuple(texts)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from photocal.base.arrays import Floats
 from photocal.base.policy import policy
+from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
 from photocal.results.result import AdjustedHead
 
@@ -148,21 +149,18 @@ def _trend(against: str, at: Floats, x: Floats, variance: Floats) -> Trend | Non
     return Trend(against, float(slope), sigma, p_value, math.sqrt(left))
 
 
-def repeatability_text(results: Sequence[Repeatability]) -> str:
+def repeatability_text(results: Sequence[Repeatability], say: Catalogue) -> str:
     """Write it for people, one line for each parameter and each trend."""
-    per = {"temperature": "°C", "time": "100 days"}
-    lines = ["repeatability from flight to flight (Paule and Mandel 1982)"]
+    lines = [say("compared.repeats")]
     for result in results:
-        lines.append(
-            f"  {result.parameter:<3} {result.mean:.6g} +- {result.sigma:.2g} {result.unit} over "
-            f"{result.flights} flights, {result.between:.2g} between flights (p {result.p_value:.2g} of "
-            f"none); for one more flight +- {result.factor * result.future:.2g} (95 %, k {result.factor:.2f})"
-        )
-        lines += [
-            f"      with {t.against}: {t.slope:+.2g} +- {t.sigma:.2g} {result.unit} per {per[t.against]} "
-            f"(p {t.p_value:.2g} of none), {t.left:.2g} left between flights"
-            for t in result.trends
-        ]
+        names = {"parameter": result.parameter, "unit": result.unit, "flights": result.flights}
+        sizes = {"mean": result.mean, "sigma": result.sigma, "between": result.between}
+        future = {"future": result.factor * result.future, "factor": result.factor}
+        lines.append(say.told("compared.repeat", **names, **sizes, **future, p=result.p_value))
+        for t in result.trends:
+            kind = {key: say(f"compared.{key}_{t.against}") for key in ("against", "per")}
+            sizes = {"slope": t.slope, "sigma": t.sigma, "p": t.p_value, "left": t.left}
+            lines.append(say.told("compared.trend", **kind, **sizes, unit=result.unit))
     return "\n".join(lines)
 
 
@@ -225,16 +223,17 @@ def _moved(first: str, second: str, a: AdjustedHead, b: AdjustedHead) -> Moved |
     )
 
 
-def heads_text(moves: Sequence[Moved]) -> str:
+def heads_text(moves: Sequence[Moved], say: Catalogue) -> str:
     """Write it for people, one line for each head and pair."""
-    lines = ['cameras on their frame: turns (") and places (mm), second less first']
+    lines = [say("compared.heads")]
     for head in moves:
         parts = []
         for name, value in head.differences.items():
             factor = 3600.0 if name.startswith("turn") else 1000.0
-            parts.append(f"{name} {factor * value:+.3g} +- {factor * head.sigma[name]:.2g}")
-        lines.append(
-            f"  {head.camera} beside {head.of}, {head.first} to {head.second}: {', '.join(parts)}; "
-            f"p {head.p_value:.2g}: {'MOVED' if head.different else 'as before'}"
-        )
+            sigma = say.row([factor * head.sigma[name]], ".2g")
+            parts.append(f"{name} {say.row([factor * value], '+.3g')} +- {sigma}")
+        who = {key: getattr(head, key) for key in ("camera", "of", "first", "second")}
+        verdict = say("compared.has_moved" if head.different else "compared.as_before")
+        told = {"figures": say("join.figures").join(parts), "verdict": verdict}
+        lines.append(say.told("compared.moved", **who, **told, p=head.p_value))
     return "\n".join(lines)

@@ -45,6 +45,9 @@ def test_every_text_is_used() -> None:
         if section in OF_FINDINGS:
             assert code in quoted or " " in code, key
             continue
+        # Sentences of records have a test of their own, `test_stored`.
+        if section == "stored":
+            continue
         if section in tables and code in heads:
             continue
         assert key in used or any(key.startswith(prefix) for prefix in made), key

@@ -10,10 +10,11 @@ from pyproj import Geod
 
 from photocal.base.errors import ConfigurationError
 from photocal.base.geodesy import GeodeticPlace
+from photocal.findings.texts import catalogue
 from photocal.planning.area import Area
 from photocal.planning.flight import FlightRequest, PlannedFlight, plan_flight
 from photocal.planning.frame import PlanningCamera
-from photocal.planning.mission import WIND_TEXT, at_speed, farthest_m, in_wind
+from photocal.planning.mission import at_speed, farthest_m, in_wind
 
 AREA = Area(np.array([-28.853, -28.853, -28.849, -28.849]), np.array([-51.294, -51.290, -51.290, -51.294]))
 FRAME = PlanningCamera(8.8e-3, 2.41e-6, 5472, 3648)
@@ -38,7 +39,7 @@ def test_fixed_wing_along_and_across_the_wind() -> None:
     across = in_wind(flight_of(90.0), 6.0, 0.0, "fixed-wing")
     assert (across["slowest_m_s"], across["fastest_m_s"]) == pytest.approx((8.0, 8.0))
     assert across["crab_deg"] == pytest.approx(36.8699, abs=1e-4)
-    assert "crab up to 37 deg" in WIND_TEXT.format(**across)
+    assert "crab up to 37 deg" in catalogue("en").told("planned.wind", **across)
 
 
 def test_duration_against_every_strip_flown() -> None:

@@ -77,6 +77,8 @@ SETTINGS = {
     "pos1-navsys": "9",
     "pos2-armode": "continuous",
     "pos2-arthres": "3",
+    # Whole cycles of the same satellites are searched for as `photocal ppk` does.
+    "pos2-arelmask": "20",
     "out-solformat": "xyz",
     "out-timesys": "gpst",
     "out-timeform": "tow",
