@@ -105,10 +105,10 @@ class Assessment:
     similarity: statistics.SimilarityTrend | None = None
 
     def __repr__(self) -> str:
-        """Say what `photocal check` prints of a table of differences."""
-        from photocal.accuracy.output import to_text
-
-        return to_text(self)
+        """Say number, mean and root mean square of each component."""
+        each = ((one.name, one.moments) for one in self.components)
+        told = (f"{name}: {m.n} points, mean {m.mean_m:.4f} m, rms {m.rmse_m:.4f} m" for name, m in each)
+        return "\n".join(told)
 
 
 def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], question: Question) -> Assessment:

@@ -266,10 +266,15 @@ class BlockCheck:
     slips: Slips = no_slips
 
     def __repr__(self) -> str:
-        """Say the verdict and the figures of each method, as `photocal check` prints them."""
-        from photocal.georeferencing.output import to_text
-
-        return to_text(self, details=False)
+        """Say the errors at the ground points by each method, or why there are none."""
+        lines = [f"{self.block.name}: {len(self.block.images.names)} images, product minus reference, m"]
+        for judged in self.judged:
+            method = judged.result.method
+            for group in judged.differences:
+                rms = " ".join(f"{value:.3f}" for value in group.rmse)
+                lines.append(f"  {method}: {len(group.names)} {group.role} points, rms X Y Z {rms}")
+            lines += [f"  {method}: no ground points"] * (not judged.differences)
+        return "\n".join([*lines, *(f"  {method}: {reason}" for method, reason in self.refused)])
 
     def of(self, method: Method) -> Judged | None:
         """Give one method's result; None where the block does not allow it."""

@@ -157,10 +157,11 @@ def test_things_print_as_short_tables() -> None:
 
 
 def test_what_steps_give_prints_as_their_commands_do(block: photocal.Block, result: photocal.Result) -> None:
-    """The verdict once, and no arrays."""
+    """The verdict once, errors by method, and no arrays."""
     checked, analysed = photocal.check(block), photocal.analyse(block, result)
+    assert repr(analysed).count("Verdict") == 1
+    assert "  indirect: " in repr(checked)
     for thing in (checked, analysed):
-        assert repr(thing).count("Verdict") == 1
         assert "array(" not in repr(thing)
         assert len(repr(thing).splitlines()) < 40
     area = photocal.area_from_corners([(-51.41, -22.12), (-51.40, -22.12), (-51.40, -22.13)], "field")

@@ -11,6 +11,7 @@ import pytest
 from photocal.analysis.stability.camera_file import read_camera_file
 from photocal.analysis.stability.compared import _together, joint_comparison, joint_text
 from photocal.analysis.stability.methods import sensor_grid
+from photocal.findings.texts import catalogue
 from photocal.geometry.camera import PARAMETERS, Camera
 
 STUDY = Path(__file__).parents[3] / "configs/studies/canon-elph/calibrations.toml"
@@ -57,7 +58,7 @@ def test_sets_of_the_study_are_not_one_camera_but_for_the_first_two() -> None:
     assert joint.together.vector.p_value < 1e-6
     assert joint.together.image is not None
     assert joint.together.image.p_value < 1e-6
-    assert "all calibrations as one: chi2" in joint_text(joint, 0.05)
+    assert "all calibrations as one: chi2" in joint_text(joint, 0.05, catalogue("en"))
 
 
 def test_many_flights_of_one_camera_are_refused_as_often_as_the_level_says() -> None:

@@ -28,6 +28,7 @@ from photocal.analysis.stability.methods import (
 from photocal.base.errors import (
     IllPosedError,
 )
+from photocal.findings.texts import catalogue
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.geometry.distortion import distorted
 from photocal.geometry.rotation import matrix_from_angles
@@ -122,7 +123,7 @@ def test_pair_1_2_does_not_follow_from_its_parameters(
     assert len(followed) == 84
     broken = [one for one in followed if not one.follows]
     assert [(one.first, one.second) for one in broken] == [("1", "2")] * 4
-    words = sentences(pairs, study.comparison.thresholds_px, followed)
+    words = sentences(pairs, study.comparison.thresholds_px, followed, catalogue("en"))
     assert sum(word.startswith("Pair 1-2: the printed") for word in words) == 4
 
 

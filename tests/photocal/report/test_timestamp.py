@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
+from photocal.findings.texts import catalogue
 from photocal.report.signing import STAMP, stamp, stamped
 from photocal.results.adjusted import adjust_block
 from tests.photocal.conftest import Answer
@@ -123,7 +124,7 @@ def test_a_stamp_is_verified_by_its_root_and_by_the_other_program(
     assert (read.time, read.verified) == (made.time, True)
     unverified = stamped(signature)
     assert unverified is not None
-    assert "was not verified" in str(unverified)
+    assert "was not verified" in unverified.text(catalogue("en"))
     asked = (
         "ts",
         "-verify",
