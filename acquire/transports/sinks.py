@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Protocol
 
 from acquire.transports.sources import host_and_port
 from photocal.base.errors import ConfigurationError, DeviceError
@@ -21,6 +22,19 @@ _QUIET_S = 0.5
 # each datagram besides its bytes.
 _IN_FLIGHT, _PER_DATAGRAM = 60_000, 800
 _TABLES = ("/proc/net/udp", "/proc/net/udp6")
+
+
+class Sink(Protocol):
+    """Takes the frames of a stream in order."""
+
+    def send(self, frame: bytes) -> None:
+        """Send one frame; waits for a slow reader where the transport can wait."""
+        ...
+
+    @property
+    def lost(self) -> int | None:
+        """Number of frames that no reader got; None where that cannot be known."""
+        ...
 
 
 class UdpSink:
@@ -123,10 +137,6 @@ class _PtySink:
         view = memoryview(frame)
         while view:
             view = view[os.write(self._descriptor, view) :]
-
-
-# Takes the frames of a stream in order; waits for a slow reader where the transport can wait.
-Sink = UdpSink | _TcpSink | _PtySink
 
 
 @contextmanager

@@ -281,7 +281,8 @@ def _head(finding: Finding) -> str:
 
 def _figure(key: str, value: Any, say: Catalogue, name: Callable[[str], str]) -> object:
     if key == "group":
-        return say(f"group.{value}")
+        # A kind of observation of one's own has the name that it was given.
+        return say.messages.get(f"group.{value}", printable(str(value)))
     if isinstance(value, str):
         value = printable(value)
         return say.term(value) if key in TERMS else name(value) if key in PARAMETERS else value

@@ -331,7 +331,7 @@ class _Text:
 
     def _source(self, stated: StatedCamera) -> str:
         """Where a camera comes from, in words."""
-        return self.say(f"new.told.{stated.source}")
+        return self.say.stored(stated.source)
 
     def _computed(self) -> dict[tuple[int, int], tuple[Path, Camera]]:
         """Cameras of .cam files by the size of their pictures, where both leave no doubt."""

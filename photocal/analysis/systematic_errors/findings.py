@@ -206,7 +206,7 @@ def of_jackknife(search: Search) -> list[Finding]:
             ground = ground_effect(search.first, k, effect)
             moved = moved_with_c(search.first, k, effect)
             figures |= {"ground_m": ground, "moved": moved}
-            clauses.append("only_carried" if moved < policy.small_move else "heights_hang")
+            clauses.append("less_sure_carried" if moved < policy.small_move else "heights_hang")
             if moved >= policy.small_move and ground >= asked_of(search.first).ground_m:
                 severity = "doubtful"
         size = Size(error[0], error[1], None, effect, ground)

@@ -171,7 +171,8 @@ def test_published_calibration_in_both_forms(
     published_run: AnalysedRun, language: str, expected: list[str]
 ) -> None:
     document = certificate(published_run, Metadata(date=DAY), catalogue(language))
-    page = " ".join(outline(html(document)).text)
+    # Blanks that no line breaks at are blanks.
+    page = " ".join(outline(html(document)).text).replace("\u00a0", " ")
     paper = words(document)
     for text in expected:
         assert text in page
@@ -196,7 +197,7 @@ def test_table_rows_against_the_study(published_run: AnalysedRun) -> None:
 
 def test_a_parameter_that_is_noise_is_called_so(invented_run: AnalysedRun) -> None:
     """K2 of the invented run is half of its standard deviation."""
-    text = html(certificate(invented_run, Metadata(date=DAY), catalogue("en")))
+    text = html(certificate(invented_run, Metadata(date=DAY), catalogue("en"))).replace("\u00a0", " ")
     assert "Not significant at the 95 % level: K₂." in text
 
 

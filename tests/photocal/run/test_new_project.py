@@ -209,6 +209,40 @@ def test_the_camera_of_dewarp_data(tmp_path: Path) -> None:
     assert stated.prior_sigma()["c"] == pytest.approx(0.005 * 3668.25, rel=0.01)
 
 
+@pytest.mark.parametrize(
+    ("xmp", "words"),
+    [
+        (
+            (
+                'Camera:PerspectiveFocalLength="4.8" Camera:PrincipalPoint="3.04,2.28"'
+                ' Camera:PerspectiveDistortion="0.18,-0.47,0.40,-0.0009,-0.0007"'
+            ),
+            ("XMP calibration of its maker", "calibração do fabricante no XMP"),
+        ),
+        (
+            'Camera:FisheyeAffineMatrix="140.0,0.0,0.0,140.0"',
+            ("XMP fisheye of its maker", "olho de peixe do fabricante"),
+        ),
+        ('drone-dji:CalibratedFocalLength="150.0"', ("CalibratedFocalLength of its maker", "do fabricante")),
+        (f'drone-dji:DewarpData="{DEWARP}" drone-dji:DewarpFlag="0"', ("DewarpData", "do fabricante")),
+    ],
+)
+def test_what_a_maker_writes_of_a_lens_is_told_in_both_languages(
+    tmp_path: Path, xmp: str, words: tuple[str, str]
+) -> None:
+    """The millimetres of `Camera:` need the size of a pixel: 0.005 mm, 2000 of them a centimetre."""
+    exif = Image.Exif()
+    exif[0x0110] = "TestCam"
+    more = exif.get_ifd(0x8769)
+    more[0x920A], more[0xA20E], more[0xA20F], more[0xA210] = IFDRational(48, 10), 2000, 2000, 3
+    packet = f"<x:xmpmeta><rdf:Description {xmp}/></x:xmpmeta>".encode()
+    Image.new("L", (160, 120)).save(tmp_path / "a.jpg", exif=exif, xmp=packet)
+    for language, said in zip(("en", "pt-BR"), words, strict=True):
+        made = new_project(tmp_path, language=language)
+        assert said in "\n".join(made.known)
+        made.path.unlink()
+
+
 def test_the_sensor_of_a_known_camera(tmp_path: Path) -> None:
     """The maker writes only 8.8 mm; its data sheet says 13.2 by 8.8 mm of the sensor."""
 

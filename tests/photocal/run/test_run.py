@@ -84,7 +84,8 @@ def test_a_ready_block_is_read_once_and_adjusted_five_times_at_most(
         results.extend([file] if file.name == "result.json" else [])
         return parsed_json(file, remedy)
 
-    monkeypatch.setattr("photocal.block.folder.read_block", counted)
+    for reader in ("photocal.block.folder.read_block", "photocal.run.campaign.read_block"):
+        monkeypatch.setattr(reader, counted)
     monkeypatch.setattr("photocal.results.folder.parsed_json", parsed)
     for kept in (False, True):
         figures = json.loads(run(str(path), "--json").stdout)
