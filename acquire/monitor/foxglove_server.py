@@ -17,6 +17,9 @@ from photocal.base.web import TOKEN_BYTES, Address
 
 _LONGEST_HEAD = 1 << 14
 _PIECE_BYTES = 1 << 16
+# foxglove-sdk 0.30 tells a client of a channel before it knows itself that it has told it, and refuses the
+# subscription of a client that answers in between: the client would go without the topic.
+_CLIENT_DELAY_S = 0.05
 _REFUSAL = b"HTTP/1.1 401 Unauthorized\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 
 
@@ -38,7 +41,10 @@ def token_proxy(address: Address, behind: tuple[str, int]) -> Iterator[str]:
     async def let_in(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Pass a connection on to the inner server when it brings the token."""
         try:
-            with contextlib.suppress(OSError, TimeoutError, asyncio.IncompleteReadError):
+            # Cancelled when the server ends: nobody waits for this task, and asyncio would print a traceback.
+            with contextlib.suppress(
+                OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.CancelledError
+            ):
                 await _let_in(reader, writer, token, behind)
         finally:
             writer.close()
@@ -79,8 +85,8 @@ async def _let_in(
     try:
         inner_writer.write(head)
         ways = [
-            asyncio.create_task(_carry(reader, inner_writer)),
-            asyncio.create_task(_carry(inner_reader, writer)),
+            asyncio.create_task(_carry(reader, inner_writer, _CLIENT_DELAY_S)),
+            asyncio.create_task(_carry(inner_reader, writer, 0.0)),
         ]
         _, open_ways = await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
         for way in open_ways:
@@ -89,9 +95,11 @@ async def _let_in(
         inner_writer.close()
 
 
-async def _carry(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+async def _carry(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, delay_s: float) -> None:
+    """Hand on what one side sends, each piece so much later, until it ends."""
     with contextlib.suppress(OSError):
         while piece := await reader.read(_PIECE_BYTES):
+            await asyncio.sleep(delay_s)
             writer.write(piece)
             await writer.drain()
 
