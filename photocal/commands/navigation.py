@@ -133,6 +133,7 @@ def localise(
     ] = "free",
     level: Annotated[bool, option("Estimate a shift of the heights, not a tilted plane.", "--level")] = False,
     without: Annotated[str, option("Common points to leave out, separated by commas.")] = "",
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Calibrate a site: tie a local system to a map system by the points that both tables name.
@@ -144,6 +145,7 @@ def localise(
     Example: `photocal localise site.csv control/points.csv --crs EPSG:31982 -o site`
     """
     from photocal.base.files import output_folder
+    from photocal.findings.texts import catalogue, spoken
     from photocal.navigation.site_calibration import (
         calibrate,
         calibration_text,
@@ -154,6 +156,7 @@ def localise(
     names = tuple(name.strip() for name in without.split(",") if name.strip())
     tables = read_point_table(local), read_point_table(mapped)
     made = calibrate(*tables, crs, names, scale, tilt=not level)
+    say = catalogue(spoken(language))
     with output_folder(output) as folder:
-        figures = write_calibration(folder, made)
-    answer(as_json, lambda: figures, lambda: calibration_text(made))
+        figures = write_calibration(folder, made, say)
+    answer(as_json, lambda: figures, lambda: calibration_text(made, say))

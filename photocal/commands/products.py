@@ -78,6 +78,7 @@ def volume(
     ] = None,
     *,
     options: VolumeOptions,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Volume of a tank, round or of any closed shape, with its standard deviation.
@@ -87,7 +88,8 @@ def volume(
     Example: `photocal volume sections.csv --sigma 0.014 --height 9.5 --height-sigma 0.004 --plot rings.pdf`
     or `photocal volume --radius 6.479 --radius-sigma 0.003 --height 9.5 --height-sigma 0.004`
     """
+    from photocal.findings.texts import catalogue, spoken
     from photocal.products.volume import volume as measured
 
     volume = measured(sections, options)
-    answer(as_json, lambda: volume.figures, lambda: volume.text)
+    answer(as_json, lambda: volume.figures, lambda: volume.text(catalogue(spoken(language))))

@@ -6,8 +6,8 @@ a tilted plane. Residuals are computed minus given, in the local system.
 Similarity transformation between two systems of places in space.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import special
@@ -43,6 +43,8 @@ class FittedPart:
     miss_m (n, k): where the other points put a point, less where it was given.
     probability (n,): of a larger miss by chance; NaN where nothing checks the point.
     factor: square root of the variance factor; NaN without redundancy.
+    doubtful: points that do not fit, the worst first, each tested without those before it: its miss (m) and
+        the probability of a larger one.
     """
 
     parameters: Floats
@@ -53,9 +55,11 @@ class FittedPart:
     redundancy: int
     factor: float
 
+    doubtful: Mapping[int, tuple[float, float]] = field(default_factory=dict[int, tuple[float, float]])
+
     @property
-    def doubtful(self) -> Flags:
-        """Points that do not fit the others, shape (n,); the family of tests alarms once in 200 cases."""
+    def beyond(self) -> Flags:
+        """Points that do not fit all others, shape (n,); the family of tests alarms once in 200 cases."""
         checked = np.isfinite(self.probability)
         limit = policy.family_significance / max(int(checked.sum()), 1)
         return np.asarray(checked & (np.nan_to_num(self.probability, nan=1.0) < limit))
@@ -122,13 +126,29 @@ def localise(points: CommonPoints, scale: float | None = None, *, tilt: bool = T
     offset = points.map_m[:, :2] - middle
     extent = np.linalg.svd(offset[high] - offset[high].mean(axis=0), compute_uv=False)
     tilted = tilt and int(high.sum()) >= _FEWEST_FOR_TILT and bool(extent[1] > _LINE * extent[0])
-    plan = _fitted_plan(points, offset, in_plan, scale)
+    plan = _snooped(lambda used: _fitted_plan(points, offset, used, scale), in_plan)
     columns = np.column_stack([np.ones(len(offset)), offset])
-    height = _fitted(
-        lambda p: columns @ p, lambda _: columns[:, None, :], np.zeros(3), np.array([True, tilted, tilted]),
-        points.local_m[:, 2:] - points.map_m[:, 2:], _sigma(points, [2]), high,
+    rise, free = points.local_m[:, 2:] - points.map_m[:, 2:], np.array([True, tilted, tilted])
+    height = _snooped(
+        lambda used: _fitted(
+            lambda p: columns @ p, lambda _: columns[:, None, :], np.zeros(3), free, rise,
+            _sigma(points, [2]), used,
+        ),
+        high,
     )  # fmt: skip
     return Localisation(middle, plan, height, scale is None, tilted)
+
+
+def _snooped(fitted: Callable[[Flags], FittedPart], used: Flags) -> FittedPart:
+    """Fit to all points, and tell those that do not fit: one gross error makes its neighbours look wrong."""
+    whole = part = fitted(used)
+    left, doubtful = used.copy(), dict[int, tuple[float, float]]()
+    while part.beyond.any():
+        worst = int(np.argmin(np.where(part.beyond, part.probability, np.inf)))
+        doubtful[worst] = float(np.linalg.norm(part.miss_m[worst])), float(part.probability[worst])
+        left[worst] = False
+        part = fitted(left)
+    return replace(whole, doubtful=doubtful)
 
 
 def _sigma(points: CommonPoints, columns: list[int]) -> Floats | None:

@@ -1,6 +1,5 @@
 """`photocal localise`: a local system tied to a map system, and the report of the site calibration."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from photocal.base.errors import ConfigurationError
 from photocal.base.files import write_json, write_rows
 from photocal.base.text_tables import read_wider_table
 from photocal.findings.document import KeyValues, Paragraph, Piece, Remarks, Section, markdown, table, text
+from photocal.findings.texts import Catalogue
 from photocal.geometry.frames import GroundScale, ground_scale
 from photocal.geometry.localisation import CommonPoints, FittedPart, Localisation, localise
 
@@ -109,11 +109,11 @@ def _common(local: PointTable, mapped: PointTable, names: tuple[str, ...]) -> Co
     return CommonPoints(names, mapped.values[there], local.values[here], stated)
 
 
-def write_calibration(folder: Path, made: SiteCalibration) -> dict[str, Any]:
+def write_calibration(folder: Path, made: SiteCalibration, say: Catalogue) -> dict[str, Any]:
     """Write the report, its figures, and the points of each table in the other system; give the figures."""
     figures = calibration_figures(made)
     write_json(folder / FIGURES, figures, 2)
-    (folder / REPORT).write_text(markdown("Site calibration", sections(made)), encoding="utf-8")
+    (folder / REPORT).write_text(markdown(say("site.title"), sections(made, say)), encoding="utf-8")
     fit = made.fit
     mapped = fit.to_map(made.local.values)
     _write_points(folder / "points.csv", made.local, mapped, fit.sigma_m(mapped))
@@ -146,7 +146,7 @@ def calibration_figures(made: SiteCalibration) -> dict[str, Any]:
                     "residual_m": [*fit.plan.residual_m[k], *fit.height.residual_m[k]],
                     "miss_by_the_others_m": [*fit.plan.miss_m[k], *fit.height.miss_m[k]],
                     "probability": {"plan": fit.plan.probability[k], "height": fit.height.probability[k]},
-                    "doubtful": {"plan": fit.plan.doubtful[k], "height": fit.height.doubtful[k]},
+                    "doubtful": {"plan": k in fit.plan.doubtful, "height": k in fit.height.doubtful},
                 }
                 for k, name in enumerate(made.common.names)
             ],
@@ -203,120 +203,82 @@ def whose_metre(made: SiteCalibration) -> str:
     return "either" if ground and grid else "ground" if ground else "map" if grid else "neither"
 
 
-_METRES = {
-    "ground": "the local system counts metres on the ground",
-    "map": "the local system counts metres of the map",
-    "either": "these points cannot distinguish metres on the ground from metres of the map",
-    "neither": "the local system counts metres neither of the ground nor of the map: check its scale",
-    "held": "the scale was held, or its uncertainty is unknown",
-}
-
-
-def sections(made: SiteCalibration) -> list[Section]:
+def sections(made: SiteCalibration, say: Catalogue) -> list[Section]:
     """Write the report: parameters, points with residuals and tests, what to look at."""
     fit, combined = made.fit, made.combined
-    east, north, angle, scale = fit.plan.parameters
+    east, north, angle, scale = fit.plan.parameters.tolist()
     sigma_plan, sigma_height = (np.sqrt(np.diag(part.covariance)) for part in (fit.plan, fit.height))
-    rows = (
-        ("middle in the map", f"E {fit.middle_m[0]:.4f} m, N {fit.middle_m[1]:.4f} m ({made.crs})"),
-        ("middle in the local system", f"X {east:.4f} m, Y {north:.4f} m{_sure(sigma_plan[:2], 'm')}"),
-        ("rotation", f"{np.degrees(angle):.6f} deg{_sure(np.degrees(sigma_plan[2:3]), 'deg', 6)}"),
-        ("scale", f"{scale:.8f} ({_ppm(scale)} ppm{_held(fit.scale_free, sigma_plan[3])})"),
-        ("height", f"{fit.height.parameters[0]:+.4f} m{_sure(sigma_height[:1], 'm')}"),
-        ("slope", _slope(fit, sigma_height)),
-        ("point scale factor", f"{made.scale.point_factor[0]:.8f}"),
-        ("elevation factor", f"{made.scale.elevation_factor[0]:.8f}"),
-        ("combined factor", f"{combined:.8f}: ground to map {_ppm(combined)} ppm"),
-        ("metre", _METRES[whose_metre(made)]),
+    middle = dict(zip(("east", "north"), fit.middle_m.tolist(), strict=True))
+    turned = _sure(np.degrees(sigma_plan[2:3]), "deg", say, 6)
+    plan_ppm = _sure(1e6 * sigma_plan[3:], "ppm", say, 1) if fit.scale_free else f", {say('site.held')}"
+    values = (
+        say.told("site.place", crs=made.crs, **middle),
+        say.told("site.local_place", east=east, north=north) + _sure(sigma_plan[:2], "m", say),
+        f"{say.row([np.degrees(angle)], '.6f')} deg{turned}",
+        f"{say.row([scale], '.8f')} ({_ppm(scale, say)} ppm{plan_ppm})",
+        f"{say.row([fit.height.parameters[0]], '+.4f')} m{_sure(sigma_height[:1], 'm', say)}",
+        _slope(fit, sigma_height, say),
+        say.row(made.scale.point_factor[:1], ".8f"),
+        say.row(made.scale.elevation_factor[:1], ".8f"),
+        say("site.to_map", factor=say.row([combined], ".8f"), ppm=_ppm(combined, say)),
+        say(f"site.metre_{whose_metre(made)}"),
     )
-    pieces: list[Piece] = [KeyValues(rows), _point_table(made), Paragraph(_quality(fit))]
-    return [Section("", tuple(pieces)), Section("To be checked", (Remarks(tuple(_remarks(made))),))]
+    rows = tuple(zip(say("site.rows").split("|"), values, strict=True))
+    pieces: list[Piece] = [KeyValues(rows), _point_table(made, say), Paragraph(_quality(fit, say))]
+    return [Section("", tuple(pieces)), Section(say("site.check"), (Remarks(tuple(_remarks(made, say))),))]
 
 
-def _sure(sigma: Floats, unit: str, decimals: int = 4) -> str:
+def _sure(sigma: Floats, unit: str, say: Catalogue, decimals: int = 4) -> str:
     known = bool(np.isfinite(sigma).all())
-    return f", sigma {' '.join(f'{v:.{decimals}f}' for v in sigma)} {unit}" if known else ""
+    return f", {say('site.sd')} {say.row(sigma, f'.{decimals}f')} {unit}" if known else ""
 
 
-def _ppm(factor: float) -> str:
-    return f"{1e6 * (factor - 1.0):+.1f}"
+def _ppm(factor: float, say: Catalogue) -> str:
+    return say.row([1e6 * (factor - 1.0)], "+.1f")
 
 
-def _held(free: bool, sigma: float) -> str:
-    return f", sigma {1e6 * sigma:.1f}" if free and np.isfinite(sigma) else "" if free else ", held"
-
-
-def _slope(fit: Localisation, sigma: Floats) -> str:
+def _slope(fit: Localisation, sigma: Floats, say: Catalogue) -> str:
     if not fit.tilted:
-        return "none: a shift only"
-    east, north = 1e6 * fit.height.parameters[1:]
-    sure = f", sigma {1e6 * sigma[1]:.1f} {1e6 * sigma[2]:.1f} ppm" if np.isfinite(sigma[1]) else ""
-    return f"east {east:+.1f} ppm, north {north:+.1f} ppm{sure}"
+        return say("site.no_slope")
+    east, north = (1e6 * fit.height.parameters[1:]).tolist()
+    return say.told("site.slope", east=east, north=north) + _sure(1e6 * sigma[1:], "ppm", say, 1)
 
 
-def _point_table(made: SiteCalibration) -> Piece:
-    fit = made.fit
+def _point_table(made: SiteCalibration, say: Catalogue) -> Piece:
+    plan, height = made.fit.plan, made.fit.height
     rows = []
     for k, name in enumerate(made.common.names):
-        plan, height = fit.plan, fit.height
-        rows.append(
-            [
-                name,
-                *map(_metre, plan.residual_m[k]),
-                _metre(float(np.hypot(*plan.residual_m[k])), signed=False),
-                *map(_metre, height.residual_m[k]),
-                *map(_metre, (*plan.miss_m[k], *height.miss_m[k])),
-                *map(_chance, (plan.probability[k], height.probability[k])),
-            ]
-        )
-    heads = ["point", "vX", "vY", "v plan", "vZ", "miss X", "miss Y", "miss Z", "p plan", "p height"]
-    note = (
-        "v: computed minus given, local axes, m. miss: where the other points put the point, less where it "
-        "was given. p: probability of a larger miss by chance."
-    )
-    return table("Common points", heads, rows, note)
+        cells = [(value, "+.4f") for value in plan.residual_m[k]]
+        cells += [(float(np.hypot(*plan.residual_m[k])), ".4f"), (height.residual_m[k, 0], "+.4f")]
+        cells += [(value, "+.4f") for value in (*plan.miss_m[k], *height.miss_m[k])]
+        cells += [(part.probability[k], ".4f") for part in (plan, height)]
+        rows.append([name, *("" if np.isnan(value) else say.row([value], form) for value, form in cells)])
+    return table(say("site.points"), say("site.heads").split("|"), rows, say("site.note"))
 
 
-def _metre(value: float, *, signed: bool = True) -> str:
-    return "" if np.isnan(value) else f"{value:+.4f}" if signed else f"{value:.4f}"
-
-
-def _chance(value: float) -> str:
-    return "" if np.isnan(value) else f"{value:.4f}"
-
-
-def _quality(fit: Localisation) -> str:
+def _quality(fit: Localisation, say: Catalogue) -> str:
     parts = []
     for name, part in (("plan", fit.plan), ("height", fit.height)):
-        factor = "" if np.isnan(part.factor) else f", sigma0 {part.factor:.3g}"
-        parts.append(f"{name}: rms {_rms(part):.4f} m, redundancy {part.redundancy}{factor}")
+        factor = "" if np.isnan(part.factor) else f", sigma0 {say.row([part.factor], '.3g')}"
+        sizes = {"rms": _rms(part), "redundancy": part.redundancy}
+        parts.append(say.told("site.quality", part=say(f"site.{name}"), **sizes) + factor)
     return "; ".join(parts) + "."
 
 
-def _remarks(made: SiteCalibration) -> Iterable[str]:
-    fit, found = made.fit, False
+def _remarks(made: SiteCalibration, say: Catalogue) -> list[str]:
+    fit, found = made.fit, list[str]()
     for part, name in ((fit.plan, "plan"), (fit.height, "height")):
         if part.redundancy < 1:
-            found = True
-            yield f"No redundant point checks the {name}: measure more common points."
-        for k in np.flatnonzero(part.doubtful).tolist():
-            found = True
-            size = float(np.linalg.norm(part.miss_m[k]))
-            yield (
-                f"{made.common.names[k]} does not fit in {name}: the other points put it {size:.3f} m from "
-                f"where it was given (p {part.probability[k]:.1e}). Look at its mark, its name and its "
-                "antenna height; --without leaves it out."
-            )
+            found.append(say(f"site.unchecked_{name}"))
+        for k, (size, p) in part.doubtful.items():
+            found.append(say.told(f"site.doubtful_{name}", point=made.common.names[k], size=size, p=p))
     if made.common.sigma_m is None:
-        found = True
-        yield "Neither table states sigmas: the precision comes from the residuals alone."
+        found.append(say("site.no_sigmas"))
     if made.left_out:
-        found = True
-        yield f"Left out: {', '.join(made.left_out)}."
-    if not found:
-        yield "Nothing."
+        found.append(say("site.left_out", names=", ".join(made.left_out)))
+    return found or [say("site.nothing")]
 
 
-def calibration_text(made: SiteCalibration) -> str:
-    """Write the report for a terminal."""
-    return text(sections(made))
+def calibration_text(made: SiteCalibration, say: Catalogue) -> str:
+    """Write the report for a terminal, in a language."""
+    return text(sections(made, say))

@@ -1,4 +1,4 @@
-"""Sections of a tank: circles of points measured on rings, what they enclose, and the answer in words."""
+"""Sections of a tank: circles of points measured on rings, and what they enclose."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -296,51 +296,6 @@ def _section_json(ring: TankRing, axes: tuple[str, str, str]) -> dict[str, Any]:
         "largest_residual_m": float(np.abs(circle.radial).max()),
         "radial_m": dict(zip(ring.points, circle.radial.tolist(), strict=True)),
     }
-
-
-def volume_text(volume: PropagatedVolume) -> str:
-    """Give a volume in one line."""
-    return (
-        f"V = {volume.value:.3f} m3, variance {volume.variance:.4f} m6 "
-        f"(radius {volume.radius_variance:.4f}, height {volume.height_variance:.4f}), "
-        f"standard deviation {volume.sigma:.4f} m3 = {volume.percent:.4f} %"
-    )
-
-
-def tank_text(tank: Tank, axes: tuple[str, str, str], wall_thickness: float) -> str:
-    """Give a tank as lines of text; parameters as in `tank_json`."""
-    first, second, up = axes
-    centre = f"centre {first} m     sd   centre {second} m     sd"
-    lines = [f"section  points   height m  {centre}   radius m     sd   factor  largest mm"]
-    doubtful = []
-    for ring in tank.sections:
-        circle = ring.circle
-        sx, sy, sr = np.sqrt(np.diag(circle.covariance))
-        adjusted = circle.adjusted
-        test = global_test(adjusted.chi_squared, adjusted.degrees_of_freedom)
-        if test is not None and not test.accepted:
-            doubtful.append(ring.name)
-        lines.append(
-            f"{ring.name:<8} {len(ring.points):>6} {ring.height:>10.3f} {circle.center[0]:>12.4f} {sx:.4f} "
-            f"{circle.center[1]:>12.4f} {sy:.4f} {circle.radius:>10.4f} {sr:.4f} "
-            f"{adjusted.variance_factor:>8.3f} {1e3 * np.abs(circle.radial).max():>11.1f}"
-        )
-    if doubtful:
-        lines.append(
-            f"the variance factor of section {', '.join(doubtful)} lies outside its 95 % interval: the "
-            "ring is not a circle within the stated sigmas, or these are wrong"
-        )
-    inside = f" inside a wall of {1e3 * wall_thickness:g} mm" if wall_thickness else ""
-    lines.append(f"mean radius {tank.radius:.5f} m{inside}, sd {tank.radius_sigma:.5f} m (a priori)")
-    if tank.cylinder is not None:
-        lines.append(
-            f"cylinder: radius {tank.cylinder.radius:.4f} m, axis tilted {np.degrees(tank.tilt):.4f} deg "
-            f"(sd {np.degrees(tank.tilt_sigma):.4f}) against {up}, variance factor "
-            f"{tank.cylinder.adjusted.variance_factor:.3f}"
-        )
-    if tank.between is not None:
-        lines.append(f"between the lowest and the highest section, end areas: {volume_text(tank.between)}")
-    return "\n".join(lines)
 
 
 def draw_rings(tank: Tank, axes: tuple[str, str, str], path: Path) -> None:

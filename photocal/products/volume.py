@@ -5,6 +5,7 @@ Partial volumes between neighbouring sections of a tank, and its filling table, 
 Volumes between sections of any closed shape, by quadrature: areas of outlines, and over the heights.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -14,14 +15,13 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, IllPosedError
+from photocal.findings.document import Paragraph, Piece, Section, TablePart, table, text
+from photocal.findings.texts import Catalogue, catalogue
 from photocal.products import sections as tanks
 from photocal.products.options import VolumeOptions
 from photocal.products.sections import RingPoints, Tank, volume_between_sections
 
 Shape = Literal["curve", "polygon"]
-_ROW = (
-    "{section:<8} {points:>6} {height_m:>10.3f} {height_sigma_m:>8.4f} {area_m2:>12.4f} {area_sigma_m2:>8.4f}"
-)
 
 
 def outline_form(points: Floats, shape: Shape) -> Floats:
@@ -70,8 +70,8 @@ def outline(points: RingPoints, name: str, shape: Shape) -> dict[str, Any]:
     }
 
 
-def measure_closed(points: RingPoints, shape: Shape) -> tuple[dict[str, Any], str]:
-    """Give the areas of all sections and the volume between them as plain values, and as text.
+def measure_closed(points: RingPoints, shape: Shape) -> dict[str, Any]:
+    """Give the areas of all sections and the volume between them as plain values.
 
     Areas are integrated over heights by the spline of third degree, or the highest that the sections bear.
     raises IllPosedError: for a single section, or two of one height.
@@ -97,13 +97,7 @@ def measure_closed(points: RingPoints, shape: Shape) -> tuple[dict[str, Any], st
     parts = np.concatenate([by_area * of["area_sigma_m2"], by_height * of["height_sigma_m"]])
     value, sigma = volume(height, area), float(np.linalg.norm(parts))
     between = {"volume_m3": value, "sigma_m3": sigma, "sigma_percent": 100.0 * sigma / value}
-    lines = [
-        "section  points   height m       sd      area m2       sd",
-        *(_ROW.format(**section) for section in sections),
-        "between the lowest and the highest section, by quadrature: V = {volume_m3:.3f} m3, standard "
-        "deviation {sigma_m3:.4f} m3 = {sigma_percent:.4f} %".format(**between),
-    ]
-    return {"shape": shape, "sections": sections, "between_sections": between}, "\n".join(lines)
+    return {"shape": shape, "sections": sections, "between_sections": between}
 
 
 def partial_volumes(tank: Tank, wall_thickness: float = 0.0) -> list[dict[str, float]]:
@@ -172,14 +166,83 @@ def _volume(radius: Floats, height: Floats, top: float) -> float:
 
 @dataclass(frozen=True)
 class Volume:
-    """The volume of a tank: its figures as a JSON value (m, m^3), and a text for people."""
+    """The volume of a tank: its figures as a JSON value (m, m^3)."""
 
     figures: dict[str, Any]
-    text: str
 
     def __repr__(self) -> str:
         """Say it for people."""
-        return self.text
+        return self.text(catalogue("en"))
+
+    def text(self, say: Catalogue) -> str:
+        """Say it for people, in a language."""
+        of = self.figures
+        pieces: list[Piece] = [_section_table(of["sections"], say)] if "sections" in of else []
+        if lines := tuple(_lines(of, say)):
+            pieces.append(Paragraph("\n".join(lines)))
+        if levels := of.get("filling"):
+            keys = {"to_m": ".3f", "volume_m3": ".3f", "sigma_m3": ".3f"}
+            rows = [[say.row([level[key]], form) for key, form in keys.items()] for level in levels]
+            pieces.append(table(say("volume.filling"), say("volume.levels").split("|"), rows))
+        return text([Section("", tuple(pieces))])
+
+
+# Figures of a section in the order of its row; those of circles have two coordinates of their centre.
+_AREAS = {"height_m": ".3f", "height_sigma_m": ".4f", "area_m2": ".4f", "area_sigma_m2": ".4f"}
+_CIRCLES = {"radius_m": ".4f", "radius_sigma_m": ".4f", "variance_factor": ".3f", "largest_residual_m": ".4f"}
+
+
+def _section_table(sections: list[dict[str, Any]], say: Catalogue) -> TablePart:
+    rows = []
+    for one in sections:
+        row = [one["section"], str(one["points"])]
+        if "area_sigma_m2" in one:
+            row += [say.row([one[key]], form) for key, form in _AREAS.items()]
+        else:
+            row.append(say.row([one["height_m"]], ".3f"))
+            for centre, sigma in zip(one["center_m"].values(), one["center_sigma_m"].values(), strict=True):
+                row += [say.row([centre], ".4f"), say.row([sigma], ".4f")]
+            # A ring of three points has no variance factor.
+            row += ["" if one[key] is None else say.row([one[key]], form) for key, form in _CIRCLES.items()]
+        rows.append(row)
+    if "center_m" not in sections[0]:
+        return table("", say("volume.areas").split("|"), rows)
+    first, second = sections[0]["center_m"]
+    return table("", say("volume.circles", first=first, second=second).split("|"), rows)
+
+
+def _lines(of: dict[str, Any], say: Catalogue) -> Iterator[str]:
+    """Write what is computed from all sections, a line each."""
+    if "mean_radius_m" in of:
+        tests = {one["section"]: one["global_test"] for one in of["sections"]}
+        if doubtful := [name for name, test in tests.items() if test is not None and not test["accepted"]]:
+            yield say("volume.no_circle", names=", ".join(doubtful))
+        wall = 1e3 * of["wall_thickness_m"]
+        inside = say.told("volume.inside", wall=wall) if wall else ""
+        sizes = {"radius": of["mean_radius_m"], "sigma": of["mean_radius_sigma_m"]}
+        yield say.told("volume.mean_radius", inside=inside, **sizes)
+        if (cylinder := of["cylinder"]) is not None:
+            # Without redundancy there is no variance factor.
+            factor = np.nan if cylinder["variance_factor"] is None else cylinder["variance_factor"]
+            yield say.told(
+                "volume.cylinder", up=of["vertical_axis"], **{**cylinder, "variance_factor": factor}
+            )
+    if (between := of.get("between_sections")) is not None:
+        yield say("volume.between", rule=say(_RULES["shape" in of]), volume=_told(between, say))
+    parts = of.get("partial_volumes", ())
+    if len(parts) > 1:
+        yield from (say.told("volume.part", **part) for part in parts)
+    if "by_mean_radius" in of:
+        yield say("volume.by_radius", volume=_told(of["by_mean_radius"], say))
+
+
+# Circles are joined by their end areas, outlines by a spline through their areas.
+_RULES = {False: "volume.end_areas", True: "volume.quadrature"}
+
+
+def _told(volume: dict[str, float], say: Catalogue) -> str:
+    shares = say.told("volume.shares", **volume) if "variance_m6" in volume else ""
+    return say.told("volume.volume", shares=shares, **volume)
 
 
 def volume(sections: str | Path | None, options: VolumeOptions) -> Volume:
@@ -198,7 +261,7 @@ def volume(sections: str | Path | None, options: VolumeOptions) -> Volume:
     Returns
     -------
     Volume
-        Figures and text.
+        Figures, and their text in either language.
 
     Raises
     ------
@@ -223,24 +286,16 @@ def volume(sections: str | Path | None, options: VolumeOptions) -> Volume:
             "name a table of sections, or give --radius and --height with their sigmas",
         )
     figures: dict[str, Any] = {"schema": tanks.SCHEMA}
-    lines: list[str] = []
     if sections is not None:
         if options.shape != "circle":
             return _closed(Path(sections), options)
         points, wall = _points(Path(sections), options), options.wall_thickness
         tank = tanks.measure_tank(points, wall)
         figures |= tanks.tank_json(tank, points.axes, wall)
-        lines.append(tanks.tank_text(tank, points.axes, wall))
         radius, radius_sigma = tank.radius, tank.radius_sigma
-        figures["partial_volumes"] = parts = partial_volumes(tank, wall)
-        told = "{volume_m3:.3f} m3, sigma {sigma_m3:.3f} m3"
-        if len(parts) > 1:
-            between = "between {from_m:.3f} and {to_m:.3f} m: "
-            lines += [(between + told).format(**part) for part in parts]
+        figures["partial_volumes"] = partial_volumes(tank, wall)
         if options.filling is not None:
-            figures["filling"] = filled = filling_table(tank, options.filling, wall)
-            lines.append("filling table, m above the lowest section:")
-            lines += [("  {to_m:.3f}  " + told).format(**level) for level in filled]
+            figures["filling"] = filling_table(tank, options.filling, wall)
         if options.plot is not None:
             tanks.draw_rings(tank, points.axes, options.plot)
     elif (options.sigma, options.plot, options.filling) != (None,) * 3 or options.wall_thickness != 0.0:
@@ -249,8 +304,7 @@ def volume(sections: str | Path | None, options: VolumeOptions) -> Volume:
         # The pairs were checked: with a height there are all four.
         whole = tanks.cylinder_volume(radius or 0.0, radius_sigma or 0.0, height, options.height_sigma or 0.0)
         figures["by_mean_radius"] = tanks.volume_json(whole)
-        lines.append(f"by mean radius and height: {tanks.volume_text(whole)}")
-    return Volume(figures, "\n".join(lines))
+    return Volume(figures)
 
 
 def _points(sections: Path, options: VolumeOptions) -> tanks.RingPoints:
@@ -267,5 +321,5 @@ def _closed(sections: Path, options: VolumeOptions) -> Volume:
             f"--shape {options.shape} with --plot, --height, --filling or --wall-thickness is not possible",
             "use circle, or curve or polygon without them",
         )
-    closed, text = measure_closed(points, cast("Literal['curve', 'polygon']", options.shape))
-    return Volume({"schema": tanks.SCHEMA} | closed, text)
+    closed = measure_closed(points, cast("Literal['curve', 'polygon']", options.shape))
+    return Volume({"schema": tanks.SCHEMA} | closed)

@@ -50,7 +50,7 @@ def test_a_cone_is_exact_from_three_sections_on(count: int) -> None:
     """A frustum of an elliptic cone, h (A1 + A2 + sqrt(A1 A2)) / 3; end areas would be too large."""
     heights = np.linspace(0.0, 9.5, count)
     scale = 1.0 - heights / 19.0
-    figures, _ = measure_closed(rings(scale[:, None, None] * ellipse(60, 6.5, 4.0), heights), "curve")
+    figures = measure_closed(rings(scale[:, None, None] * ellipse(60, 6.5, 4.0), heights), "curve")
     full = np.pi * 26.0
     true = 9.5 / 3 * full * (1 + 0.25 + 0.5)
     assert figures["between_sections"]["volume_m3"] == pytest.approx(true, rel=1e-4)
@@ -59,7 +59,7 @@ def test_a_cone_is_exact_from_three_sections_on(count: int) -> None:
 def test_the_middle_of_a_sphere() -> None:
     heights = np.linspace(-3.0, 3.0, 7)
     radius = np.sqrt(25.0 - heights**2)
-    figures, _ = measure_closed(rings(radius[:, None, None] * ellipse(60, 1.0, 1.0), heights), "curve")
+    figures = measure_closed(rings(radius[:, None, None] * ellipse(60, 1.0, 1.0), heights), "curve")
     assert figures["between_sections"]["volume_m3"] == pytest.approx(np.pi * (25 * 6 - 18), rel=1e-4)
 
 
@@ -77,7 +77,7 @@ def test_standard_deviations_against_the_scatter(shape: str) -> None:
             own.covariance,
             own.axes,
         )
-        found.append(measure_closed(noisy, shape)[0])  # type: ignore[arg-type]
+        found.append(measure_closed(noisy, shape))  # type: ignore[arg-type]
     volumes = [one["between_sections"]["volume_m3"] for one in found]
     assert np.std(volumes) == pytest.approx(found[0]["between_sections"]["sigma_m3"], rel=0.12)
     areas = [one["sections"][1]["area_m2"] for one in found]
