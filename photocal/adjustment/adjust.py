@@ -1,6 +1,5 @@
 """Least squares adjustment of a network, from start values to statistics."""
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -38,18 +37,13 @@ def adjusted_network(
     network: Network, report: Callable[[Iteration], None] | None = None, state: State | None = None
 ) -> AdjustedNetwork:
     """Adjust a network as `adjust`, and keep the factor of its normal equations for what is asked next."""
-    began = time.perf_counter()
-    problem, minimum = minimum_of(network, report, state)
-    return with_statistics(problem, minimum, time.perf_counter() - began)
+    return with_statistics(*minimum_of(network, report, state))
 
 
-def with_statistics(problem: Problem, minimum: Minimum, solve_s: float = 0.0) -> AdjustedNetwork:
-    """Complete a minimum, which took so many seconds, by what can be believed of it."""
-    began = time.perf_counter()
+def with_statistics(problem: Problem, minimum: Minimum) -> AdjustedNetwork:
+    """Complete a minimum by what can be believed of it."""
     at = factorised(problem, minimum)
-    solution = complete(at, minimum.iterations)
-    solution = replace(solution, timing_s={"solve": solve_s, "covariance": time.perf_counter() - began})
-    return AdjustedNetwork(problem.network, minimum.state, solution, at)
+    return AdjustedNetwork(problem.network, minimum.state, complete(at, minimum.iterations), at)
 
 
 def minimum_of(

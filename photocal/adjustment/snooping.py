@@ -6,7 +6,6 @@ adjusted, and every ray tested by its standardised residual: the worst of each p
 that fit again are taken back, until nothing changes (Baarda 1968; Pope 1976).
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -55,7 +54,6 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
     raises NotConvergedError: when the iteration or the rejections do not come to an end.
     """
     most_rounds = 30
-    began = time.perf_counter()
     whole = prepare(network)
     state = robust_state(with_datum(whole, start_state(network)), start_state(network), report)
     fit = ray_fit(whole, state)
@@ -81,8 +79,7 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
         if not wrong.any() and not again.any():
             taking_part = np.zeros(len(accepted), dtype=np.bool_)
             taking_part[rays] = True
-            timing = {"solve": time.perf_counter() - began}
-            return Snooping(part, replace(solution, timing_s=timing), taking_part, points, rounds)
+            return Snooping(part, solution, taking_part, points, rounds)
         accepted = (accepted & ~wrong) | again
     raise NotConvergedError(
         f"data snooping still finds gross errors after {most_rounds} rounds",

@@ -89,7 +89,6 @@ class Solution:
     common_covariance (k, k): of the common values of mounting and rigs; zero for those that are held.
     state: the values as the adjustment holds them.
     laser_residuals, laser_redundancy (lasers,): computed minus measured, m; redundancy numbers.
-    timing_s: seconds by stage.
     """
 
     iterations: tuple[Iteration, ...]
@@ -111,7 +110,6 @@ class Solution:
     state: State
     laser_residuals: Floats = field(default_factory=lambda: np.zeros(0))
     laser_redundancy: Floats = field(default_factory=lambda: np.zeros(0))
-    timing_s: dict[str, float] = field(default_factory=dict)
 
     @property
     def degrees_of_freedom(self) -> int:

@@ -1,7 +1,6 @@
 """The result of an adjustment, made of the block, its network and the solution."""
 
 import os
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -64,7 +63,6 @@ def result_of(
     *,
     snooping: Test | None = None,
     components: Sequence[ComponentFactor] = (),
-    timing_s: dict[str, float] | None = None,
 ) -> Result:
     """Make the result of an adjustment; covariances are scaled by the a priori unit variance."""
     factor = solution.variance_factor
@@ -133,7 +131,6 @@ def result_of(
             }
             for fit in block.fiducial_fits
         ),
-        timing_s=timing_s or {},
         cameras={camera.id: camera for camera in cameras},
         images=OrientedImages(
             block.images.names,
@@ -442,9 +439,7 @@ def adjust_block(
 
     raises PhotocalError: for bad input, an ill-posed network, or an output that cannot be written.
     """
-    began = time.perf_counter()
     block = read(source)
-    read_s = time.perf_counter() - began
     result, assembly, solution = _adjusted_block(block, snooping, report, wanted)
     root, setup = source, ""
     if source.is_file():
@@ -453,7 +448,7 @@ def adjust_block(
     # Inputs and run may move to another place together; the run folder alone need not.
     seen = Path(os.path.relpath(root.resolve(), output.resolve())).as_posix()
     facts = replace(result.block, source=seen, setup=setup)
-    result = replace(result, block=facts, timing_s={"read": read_s, **result.timing_s})
+    result = replace(result, block=facts)
     with output_folder(output) as aside:
         write_result(aside, result)
         write_more(aside, block, assembly, solution, result.points.covariance, wanted)
@@ -468,18 +463,15 @@ def adjust_network(block: Block, snooping: Test | None = None, wanted: Wanted = 
 def _adjusted_block(
     block: Block, snooping: Test | None, report: Report | None, wanted: Wanted
 ) -> tuple[Result, NetworkOfBlock, Solution]:
-    began = time.perf_counter()
     assembly = assemble(block)
     require_motion(block, assembly.network)
-    timing = {"assemble": time.perf_counter() - began}
     assembly, solution = adjusted(assembly, snooping, report)
     components: tuple[ComponentFactor, ...] = ()
     if wanted.components:
         weighed = estimate_components(assembly.network, rays_by_camera(assembly.network), report=report)
         assembly, solution = replace(assembly, network=weighed.network), weighed.solution
         components = weighed.components
-    timing |= solution.timing_s
-    result = result_of(block, assembly, solution, snooping=snooping, components=components, timing_s=timing)
+    result = result_of(block, assembly, solution, snooping=snooping, components=components)
     result = replace(result, **more_figures(block, assembly, result.points, wanted))
     return result, assembly, solution
 

@@ -281,7 +281,6 @@ class Figures:
     control_residuals: dict[str, float | None] | None = None
     ellipses: dict[str, float] | None = None
     reliability: dict[str, float] | None = None
-    timing_s: dict[str, float] = field(default_factory=dict)
 
     @property
     def scale(self) -> float | None:

@@ -39,9 +39,8 @@ def certified(folder: Path, umask: int, **set_up: str | None) -> str:
 
 
 def figures(folder: Path) -> dict[str, Any]:
-    """What a result holds, but for the time that it took."""
+    """What a result holds."""
     result: dict[str, Any] = json.loads((folder / "run" / "result.json").read_text(encoding="utf-8"))
-    del result["timing_s"]
     return result
 
 

@@ -99,7 +99,9 @@ def test_an_analysis_of_another_run_is_refused(made: Path, tmp_path: Path) -> No
     stored = read_run(run).analysis
     assert stored is not None
     assert [one.code for one in stored.findings][:3] == ["y-scale", "c-bias", "observation-sigma"]
-    (run / "result.json").write_text((run / "result.json").read_text().replace('"timing_s"', '"timing_s" '))
+    as_written = (run / "result.json").read_text()
+    (run / "result.json").write_text(as_written.replace('"iterations"', '"iterations" '))
+    assert (run / "result.json").read_text() != as_written
     with pytest.raises(InputMalformedError, match="belongs to another run"):
         read_run(run)
 

@@ -164,7 +164,6 @@ def _result(
         "cameras": {name: camera},
         "images": {"n": images, "rms": _rms(residuals)},
         "checks": {"n": 0, "rmse_m": {"x": 0.0, "y": 0.0, "z": 0.0}, "points": []},
-        "timing_s": {"read": 0.0, "solve": 0.0, "covariance": 0.0},
     }
 
 
