@@ -398,7 +398,8 @@ def _as_lines(every_s: float, line: Callable[[Standing], str]) -> Iterator[Calla
 
 
 def _in_words(now: Standing) -> str:
-    return f"{_doing(now)}: {math.floor(100 * now.share)}% of the run, {math.ceil(now.left_s)} s left"
+    doing = f"{_doing(now)}: " if now.stage or now.title else ""
+    return f"{doing}{math.floor(100 * now.share)}% of the run, {math.ceil(now.left_s)} s left"
 
 
 def _as_json(now: Standing) -> str:
@@ -408,7 +409,8 @@ def _as_json(now: Standing) -> str:
 
 
 def _doing(now: Standing) -> str:
-    return printable(": ".join(filter(None, (now.stage, now.title))))
+    # A stage of one piece of work has its name.
+    return printable(": ".join(filter(None, dict.fromkeys((now.stage, now.title)))))
 
 
 def clock(seconds: float) -> str:

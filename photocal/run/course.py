@@ -24,6 +24,14 @@ _USUAL = {
     "certificate": (0.9, 0.0, 0.0, 0.002),
 }
 _OTHER = (5.0, 0.0, 0.0, 0.0)
+# Pieces of work of a stage in their order, and the share of its time that has passed when each ends.
+_PIECES = {
+    "measurements": {
+        "detecting features": 0.2,
+        "matching pairs of images": 0.45,
+        "matching tie points precisely": 1.0,
+    }
+}
 # Of a ray in the files of a block.
 _OCTETS = {"observations.csv": 45.0, "observations.parquet": 20.0}
 # Before a block tells.
@@ -70,6 +78,9 @@ class Course:
         # What is seen of the pace is weighed against so many seconds as expected, and what a run before took.
         as_expected_s = 0.5
         self._took = self._meant = as_expected_s + seen_s
+        # What is usual for a stage is wrong as often as the speed of the machine: of a stage that takes four
+        # times as long, half is held against those after it. What a run before took is another matter.
+        self._trust = 1.0 if seen_s else 0.5
 
     def begin(self, stage: str) -> None:
         """Begin with a stage."""
@@ -103,22 +114,41 @@ class Course:
 
             yield advance
 
+    def _pace(self, more_s: float, more_meant_s: float) -> float:
+        """Tell how many times as long as expected work takes here, with a stage that has not ended."""
+        return math.pow((self._took + more_s) / (self._meant + more_meant_s), self._trust)
+
+    def _stage_share(self, piece_share: float) -> float:
+        """Tell how much of a stage whose pieces are known has been done; 0 where they are not."""
+        pieces = _PIECES.get(self._stage, {})
+        if self._title not in pieces:
+            return 0.0
+        ends = [0.0, *pieces.values()]
+        at = list(pieces).index(self._title)
+        return ends[at] + piece_share * (ends[at + 1] - ends[at])
+
     def standing(self) -> Standing:
         """Tell how far it is now."""
         now = self._clock()
         elapsed, piece_s, stage_s = now - self._began, now - self._piece_began, now - self._stage_began
-        pace = self._took / self._meant
-        if self._expected:
-            # A stage that takes longer than expected tells of the pace before it ends.
-            pace = max(pace, (self._took + stage_s) / (self._meant + self._expected))
         share = min(self._done / self._total, 1.0) if self._done > 0.0 else 0.0
         known = math.isfinite(share) and not math.isnan(self._total)
         piece_left = piece_s * (1.0 / share - 1.0) if known and share > 0.0 else None
-        left = max(pace * self._expected - stage_s, piece_left or 0.0)
-        if self._expected:
+        pace = self._pace(0.0, 0.0)
+        left = pace * self._expected
+        if done := self._stage_share(share):
+            # Once a fifth of the stage is done, its own pace tells; until then more and more.
+            own = min(done / 0.2, 1.0)
+            left = own * stage_s * (1.0 / done - 1.0) + (1.0 - own) * max(left - stage_s, 0.0)
+        elif self._expected:
             # A stage that takes longer than expected has at least this share of what it took before it.
             overdue = 0.1
-            left = max(left, overdue * stage_s)
+            left = max(left - stage_s, piece_left or 0.0, overdue * stage_s)
+        else:
+            left = piece_left or 0.0
+        if self._expected:
+            # A stage that takes longer than expected tells of the pace before it ends.
+            pace = max(pace, self._pace(stage_s + (left if done else 0.0), self._expected))
         left += pace * sum(self._ahead.values())
         # What turns out to be longer stops the bar and does not turn it back.
         self._share = max(self._share, elapsed / (elapsed + left) if elapsed + left > 0.0 else 0.0)
