@@ -1,7 +1,7 @@
 """Sections of a certificate about the analysis: hidden errors, significance, correlations, method."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
@@ -296,13 +296,15 @@ def _loadings(one: PublishedSet, components: Components, say: Catalogue) -> Tabl
     return TablePart(say("analysis.components"), heads, texts)
 
 
-def warning_sections(findings: tuple[Finding, ...], say: Catalogue) -> list[Section]:
-    """List warnings and notes."""
+def warning_sections(findings: tuple[Finding, ...], verdict: Sequence[str], say: Catalogue) -> list[Section]:
+    """List warnings and notes, but for those that the lines of the verdict have in full."""
     tables = []
     for kind in ("warning", "note"):
-        texts = [finding_text(f, say) for f in findings if (f.severity == "note") == (kind == "note")]
+        every = [finding_text(f, say) for f in findings if (f.severity == "note") == (kind == "note")]
+        texts = [text for text in every if not any(text in line for line in verdict)]
         heads = (Column(""), *columns(say, "warnings", f"{kind}<"))
         rows = tuple((str(n), text) for n, text in enumerate(texts, start=1))
         if rows:
-            tables.append(TablePart(say(f"warnings.table_{kind}"), heads, rows, widths=(0.06, 0.94)))
+            caption = say(f"warnings.table_{kind}" if len(texts) == len(every) else "warnings.table_further")
+            tables.append(TablePart(caption, heads, rows, widths=(0.06, 0.94)))
     return [Section(say("warnings.section"), tuple(tables))] if tables else []

@@ -34,6 +34,7 @@ def certificate(
     _refuse_impossible(known, say)
     number = certificate_number(run, particulars, warnings)
     sections = _sections(run, particulars, known, warnings, number, say)
+    verdicts = _verdicts(run, known, warnings, say)
     return Document(
         language=say.language,
         title=say("title.certificate"),
@@ -41,8 +42,8 @@ def certificate(
         number=number,
         facts=_facts(run, particulars, number, say),
         highlights=_highlights(run, warnings, say),
-        verdicts=_verdicts(run, known, warnings, say),
-        sections=(*analysis_sections.warning_sections(warnings, say), *sections),
+        verdicts=verdicts,
+        sections=(*analysis_sections.warning_sections(warnings, verdicts[0].lines, say), *sections),
         words={word: say(f"word.{word}") for word in WORDS},
     )
 

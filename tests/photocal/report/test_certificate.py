@@ -24,7 +24,7 @@ from photocal.base.errors import InputMalformedError
 from photocal.cli import app
 from photocal.findings.document import Document, KeyValues, PicturePart, TablePart, html, pdf
 from photocal.findings.finding import Finding
-from photocal.findings.texts import catalogue
+from photocal.findings.texts import catalogue, finding_text
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, read_particulars
 from photocal.report.stored_analysis import AnalysedRun, read_run
@@ -247,7 +247,26 @@ def test_warnings_stand_before_everything_but_the_verdict(run_folder: Path) -> N
     document = certificate(read_run(run_folder), Metadata(date=DAY), catalogue("en"), told)
     assert document.verdicts[0].title == "Not usable as it stands"
     assert all(one.tone != "good" for one in document.verdicts)
+    many = tuple(every_finding(catalogue("en")))
+    document = certificate(read_run(run_folder), Metadata(date=DAY), catalogue("en"), many)
     assert document.sections[0].title == "Warnings and notes of the processing"
+
+
+def test_a_warning_stands_once_on_the_first_page(run_folder: Path) -> None:
+    """What the verdict says in full is not said again below it; all others are listed."""
+    say = catalogue("en")
+    told = Finding("antenna-height", "grave", figures={"shift_m": 1.8, "sigma_m": 0.1, "side": "above"})
+    document = certificate(read_run(run_folder), Metadata(date=DAY), say, (told,))
+    assert " ".join(outline(html(document)).text).count(finding_text(told, say)) == 1
+    assert document.sections[0].title != "Warnings and notes of the processing"
+    many = tuple(every_finding(say))
+    document = certificate(read_run(run_folder), Metadata(date=DAY), say, many)
+    verdict = " ".join(document.verdicts[0].lines)
+    rows = [
+        row[1] for piece in document.sections[0].pieces if isinstance(piece, TablePart) for row in piece.rows
+    ]
+    assert not any(row in verdict for row in rows)
+    assert all(finding_text(one, say) in {*rows} or finding_text(one, say) in verdict for one in many)
 
 
 def test_what_a_laboratory_did_not_state_is_said(run_folder: Path) -> None:
