@@ -204,24 +204,26 @@ class Opinions:
     left_out: tuple[Removal, ...]
     not_possible: tuple[str, ...]
 
-    def others(self, parameter: str, formal: float) -> tuple[float | None, float | None]:
-        """Sandwich and bootstrap where one of them differs from the formal one by more than a third."""
-        pair = _known(self.sandwich, parameter), _known(self.bootstrap, parameter)
-        return pair if any(apart(formal, sigma) for sigma in pair) else (None, None)
+    def others(self, parameter: str) -> dict[str, float | None]:
+        """Standard deviations of a parameter by other means than the adjustment; None for too few images.
+
+        Leaving out images stands in for the sandwich where there are too few of them.
+        """
+        said = {name: _known(getattr(self, name), parameter) for name in ("sandwich", "bootstrap")}
+        jackknife = _known(self.standard_error, parameter) if said["sandwich"] is None else None
+        return {"jackknife": jackknife, **said}
 
     def largest(self, parameter: str, formal: float) -> tuple[float, str]:
         """Largest opinion that is more than a third above the formal one, and whose it is; else "formal".
 
-        Leaving out images stands in for the sandwich where there are too few of them. Where it is not
-        possible for each, what it says is a lower bound: "at_least", also for the formal one.
+        Where images cannot each be left out, what that says is a lower bound: "at_least", also for the
+        formal one.
         """
-        others = {name: _known(getattr(self, name), parameter) for name in ("sandwich", "bootstrap")}
-        if others["sandwich"] is None:
-            others = {"jackknife": _known(self.standard_error, parameter), **others}
+        others = self.others(parameter)
         sigma, whose = max((value or 0.0, name) for name, value in others.items())
         if not (sigma > formal and apart(formal, sigma)):
             sigma, whose = formal, "formal"
-        bound = self.not_possible and others.get("sandwich") is None and whose in ("formal", "jackknife")
+        bound = self.not_possible and others["sandwich"] is None and whose in ("formal", "jackknife")
         return sigma, "at_least" if bound else whose
 
 

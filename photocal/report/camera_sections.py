@@ -4,6 +4,7 @@ import numpy as np
 from scipy import special
 
 from photocal.adjustment.readout import Readout
+from photocal.analysis.robust import apart
 from photocal.base.policy import policy
 from photocal.findings.digits import power_of_ten, symbol, unit_power
 from photocal.findings.document import (
@@ -25,7 +26,7 @@ from photocal.report.figures import correlation_picture, natural_width, radial_c
 from photocal.report.stored_analysis import AnalysedRun
 
 # Second opinions on standard deviations, see `analysis.robust`.
-OPINIONS = ("sandwich", "bootstrap")
+OPINIONS = ("jackknife", "sandwich", "bootstrap")
 # Zero is a special value for these; that c differs from zero is no finding.
 NOT_TESTED = ("c",)
 # Longer tables show their worst rows, a third of so many.
@@ -83,34 +84,38 @@ def interior_orientation(title: str, camera_id: str, run: AnalysedRun, say: Cata
     camera, factor = run.result.cameras[camera_id], run.result.scale
     critical = critical_t(run.result.degrees_of_freedom)
     opinions = _opinions(camera_id, run)
-    further = [] if factor is None else ["scaled"]
-    further += [key for k, key in enumerate(OPINIONS) if any(pair[k] for pair in opinions.values())]
+    told = [whose for whose in OPINIONS if any(of[whose] for of in opinions.values())]
+    further = [*([] if factor is None else ["scaled"]), *told]
     heads = ("name<", "meaning<", "value", "sigma", *further, "unit<", "t", "significant=")
     rows = []
     for name in camera.used:
         sigma = camera.sigma_of(name)
-        beside: dict[str, float | None] = {"scaled": (factor or 1.0) * sigma}
-        beside |= dict(zip(OPINIONS, opinions.get(name, (None, None)), strict=True))
-        rows.append(_iop_row(name, camera, critical, factor, [beside[key] for key in further], say))
+        beside = {"scaled": (factor or 1.0) * sigma, **opinions.get(name, dict.fromkeys(OPINIONS))}
+        largest = run.stated(camera_id, name)[0]
+        rows.append(_iop_row(name, camera, critical, largest, [beside[key] for key in further], say))
     note = say("iop.note", critical=say.fixed(critical, 2))
-    if len(further) > (factor is not None):
-        note += say("iop.robust_note")
+    if told:
+        note += "".join(f" {say(f'iop.note_{whose}')}" for whose in told) + f" {say('iop.differs')}"
     pieces: list[Piece] = [said_table(say, "iop.table", heads, rows, note)]
-    weak = [symbol(name) for name in insignificant(camera, run.result.degrees_of_freedom)]
+    weak = [symbol(name) for name in insignificant(camera_id, run)]
     if weak:
         text = say("iop.insignificant", names=", ".join(weak))
         pieces.append(Statement("note", say("iop.insignificant_title"), text))
     return Section(title, tuple(pieces))
 
 
-def _opinions(camera_id: str, run: AnalysedRun) -> dict[str, tuple[float | None, float | None]]:
-    """Sandwich and bootstrap of all parameters, where one differs from what the adjustment says."""
+def _opinions(camera_id: str, run: AnalysedRun) -> dict[str, dict[str, float | None]]:
+    """Standard deviations by other means of the parameters for which one differs by more than a third."""
     record = run.analysis.jackknife.get(camera_id) if run.analysis else None
     if record is None:
         return {}
     camera, factor = run.result.cameras[camera_id], run.result.scale or 1.0
-    formal = {name: factor * camera.sigma_of(name) for name in camera.free}
-    return {name: record.others(name, sigma) for name, sigma in formal.items()}
+    of = {name: record.others(name) for name in camera.free}
+    return {
+        name: others
+        for name, others in of.items()
+        if any(apart(factor * camera.sigma_of(name), sigma) for sigma in others.values())
+    }
 
 
 def critical_t(dof: int) -> float:
@@ -118,18 +123,18 @@ def critical_t(dof: int) -> float:
     return float(special.stdtrit(max(dof, 1), (1.0 + policy.confidence) / 2.0))
 
 
-def insignificant(camera: Camera, dof: int) -> list[str]:
-    """Name the estimated parameters that cannot be told from zero at 95 %."""
-    critical = critical_t(dof)
+def insignificant(camera_id: str, run: AnalysedRun) -> list[str]:
+    """Name the estimated parameters that cannot be told from zero at 95 %, by the largest of their sigmas."""
+    camera, critical = run.result.cameras[camera_id], critical_t(run.result.degrees_of_freedom)
     tested = [name for name in camera.free if name not in NOT_TESTED and camera.sigma_of(name) > 0.0]
-    return [name for name in tested if abs(camera.value(name)) / camera.sigma_of(name) < critical]
+    return [name for name in tested if abs(camera.value(name)) / run.stated(camera_id, name)[0] < critical]
 
 
 def _iop_row(
     name: str,
     camera: Camera,
     critical: float,
-    factor: float | None,
+    largest: float,
     beside: list[float | None],
     say: Catalogue,
 ) -> tuple[str, ...]:
@@ -143,7 +148,7 @@ def _iop_row(
     row = (*head, spread if free else say("word.held"), *others, unit)
     if not free or name in NOT_TESTED or sigma == 0.0:
         return (*row, none, none)
-    t = value / (sigma * (factor or 1.0))
+    t = value / largest
     return (*row, say.fixed(t, 1), say("word.yes" if abs(t) >= critical else "word.no"))
 
 
