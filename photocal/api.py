@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -60,46 +62,6 @@ if TYPE_CHECKING:
     from photocal.run.certify import certificate
     from photocal.run.stage import StageResult
 
-# What stands in other rooms is loaded when it is used.
-_ELSEWHERE = {
-    "photocal.accuracy.assessment": ("Assessment",),
-    "photocal.accuracy.discrepancies": ("Discrepancies",),
-    "photocal.accuracy.options": ("JudgementOptions",),
-    "photocal.analysis.estimates": ("FTest", "Proposal"),
-    "photocal.analysis.outcome": ("Outcome",),
-    "photocal.analysis.stability.compared": ("Compared",),
-    "photocal.base.errors": (
-        "DeviceError", "IllPosedError", "InputMalformedError", "InputNotFoundError", "NotConvergedError",
-        "OutputError",
-        "PhotocalError", "ProgramMissingError",
-    ),
-    "photocal.findings.finding": ("Finding",),
-    "photocal.findings.listed": ("Findings",),
-    "photocal.georeferencing.comparison": ("BlockCheck",),
-    "photocal.judging": ("analyse", "assess", "check", "compare", "components", "significance"),
-    "photocal.measurement.measurement_record": ("MeasuredBlock",),
-    "photocal.measurement.options": ("MeasureOptions",),
-    "photocal.navigation.exposures": ("Exposures",),
-    "photocal.navigation.flight_log": ("FlightLog",),
-    "photocal.navigation.options": ("ExposureOptions", "PpkOptions", "ReceiverOptions"),
-    "photocal.navigation.steps": ("exposures", "ppk"),
-    "photocal.navigation.trajectory": ("Trajectory",),
-    "photocal.planning.area": ("area_from_corners", "read_area"),
-    "photocal.planning.flight": ("FlightRequest",),
-    "photocal.planning.network_file": ("plan_network",),
-    "photocal.planning.options": ("FlightOptions", "LimitOptions", "MissionOptions", "PrecisionOptions"),
-    "photocal.planning.plan": ("Plan", "plan", "simulate_flights"),
-    "photocal.products.contours": ("contours",),
-    "photocal.products.options": ("ContourOptions", "OrthoOptions", "VolumeOptions"),
-    "photocal.products.ortho": ("ortho",),
-    "photocal.products.volume": ("volume",),
-    "photocal.project": ("Project",),
-    "photocal.report.options": ("CertificateOptions",),
-    "photocal.run.certify": ("certificate",),
-    "photocal.run.stage": ("StageResult",),
-}  # fmt: skip
-_MODULE_OF = {name: module for module, names in _ELSEWHERE.items() for name in names}
-
 __all__ = [
     "Assessment", "Block", "BlockCheck", "Camera", "CertificateOptions", "Compared", "ConfigurationError",
     "ContourOptions", "DeviceError", "Discrepancies", "ExposureOptions", "Exposures", "FTest", "Finding",
@@ -120,9 +82,22 @@ USUAL = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
 
 
 def __getattr__(name: str) -> Any:
-    if name in _MODULE_OF:
-        return getattr(import_module(_MODULE_OF[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_elsewhere()[name]), name)
+
+
+@cache
+def _elsewhere() -> dict[str, str]:
+    """Modules of the names that are imported above for checkers of types: here they are loaded when used."""
+    return {
+        name.name: part.module
+        for block in ast.parse(Path(__file__).read_bytes()).body
+        if isinstance(block, ast.If)
+        for part in block.body
+        if isinstance(part, ast.ImportFrom) and part.module
+        for name in part.names
+    }
 
 
 def read_block(path: str | Path) -> Block:

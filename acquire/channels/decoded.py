@@ -1,9 +1,10 @@
 """Decoded messages on their way to the log, and rows of JSON."""
 
 import json
+import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -80,19 +81,35 @@ class JsonLayout:
         return [(template % row).encode() for row in zip(*texts, strict=True)]
 
 
-TIME: dict[str, Any] = {
-    "type": "object",
-    "description": "UTC",
-    "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
-}
+_TIME = {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}
 
 
-def _member(kind: str, description: str) -> dict[str, str]:
-    return {"type": kind, "description": description}
+def _members(said: Mapping[str, str]) -> dict[str, dict[str, Any]]:
+    """Members of a JSON type by what is said of them, each behind its own type."""
+    members: dict[str, dict[str, Any]] = {}
+    for name, text in said.items():
+        kind, _, description = text.partition(": ")
+        members[name] = {"type": kind, "description": description}
+        if kind == "time":
+            members[name] |= {"type": "object", "properties": _TIME}
+    return members
 
 
-# The types of members that hold a number, a whole number, a text; each takes what is to be said of it.
-number, integer, words = (partial(_member, kind) for kind in ("number", "integer", "string"))
+def _layouts() -> dict[str, JsonLayout]:
+    tables = tomllib.loads(resources.files(__package__).joinpath("layouts.toml").read_text(encoding="utf-8"))
+    source = tables.pop("source")
+    return {
+        name: JsonLayout(
+            f"photocal.{name}",
+            table["about"],
+            _members((source if table["of_device"] else {}) | table["members"]),
+        )
+        for name, table in tables.items()
+    }
+
+
+# The JSON message types of the flight log.
+LAYOUTS = _layouts()
 
 
 def times(time_ns: Integers) -> NDArray[np.datetime64]:

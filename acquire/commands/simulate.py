@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from photocal.base.console import AsJson, Listed, answer, application, argument, option, progress
+from photocal.base.console import AsJson, answer, application, argument, option, progress
 from photocal.base.errors import ConfigurationError, OutputError
 
 FAULTS = (
@@ -15,14 +15,8 @@ FAULTS = (
 app = application(
     "Simulate flights: their telemetry, a whole survey with its truth, devices on ports.",
     {
-        "flight": Listed(
-            "acquire.commands.simulate:flight",
-            "Simulate a survey flight: what a surveyor brings home in site/, the truth in truth/.",
-        ),
-        "serve": Listed(
-            "acquire.commands.simulate:serve",
-            "Play a simulated flight on real ports: the vehicle by UDP, receivers on pseudo terminals.",
-        ),
+        "flight": "acquire.commands.simulate:flight",
+        "serve": "acquire.commands.simulate:serve",
     },
 )
 

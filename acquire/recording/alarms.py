@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from acquire.channels.decoded import TIME, JsonLayout, times, words
+from acquire.channels.decoded import LAYOUTS, times
 from acquire.channels.link import WriteMessages
 from acquire.log.chunk import Channel
 from acquire.recording.reader import MOST_BYTES_S, Inbox
@@ -15,19 +15,7 @@ LEAST_JUMP_S = 0.5
 # Of one kind and link so many alarms pass in so many seconds; the others are counted.
 MOST_ALIKE, ALIKE_S = 20, 10.0
 
-ALARM = JsonLayout(
-    "photocal.Alarm",
-    "A message to the person at the field laptop.",
-    {
-        "kind": words(
-            "lost, back, source_changed, clock_jump, silent, heard_again, flood, disk_low, disk_full, "
-            "disk_slow, file_gone, device or note"
-        ),
-        "link": words("link that is concerned; empty when none is"),
-        "text": words("what happened"),
-        "time": TIME,
-    },
-)
+ALARM = LAYOUTS["Alarm"]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from photocal.accuracy import statistics
-from photocal.accuracy.standard import ClassLimit, LimitTable, Question, ValueStandard
+from photocal.accuracy.standard import ClassLimit, LimitTable, Question, StandardFigure, ValueStandard
 from photocal.base.arrays import Floats
 from photocal.findings.texts import Catalogue
 
@@ -186,8 +186,12 @@ def value_class(
     ]
     axis = None if wide is None else wide / math.sqrt(2.0)
     of_axis = {"E": axis, "N": axis, "h": high}
-    times = standard.blunder_over_target.value
-    surveys = (("horizontal", stated.survey_horizontal_m, wide), ("vertical", stated.survey_vertical_m, high))
+    surveys = (("horizontal", wide, stated.survey_horizontal_m), ("vertical", high, stated.survey_vertical_m))
+
+    def beyond(value: float, limit: StandardFigure, target: float | None) -> bool:
+        """Whether a figure exceeds what the standard allows of a target, where there is one."""
+        return target is not None and abs(value) > limit.value * target
+
     return ValueClass(
         standard,
         horizontal,
@@ -201,23 +205,13 @@ def value_class(
         vegetated.components[0].n if vegetated else 0,
         wide if plane else None,
         high if height else None,
-        tuple(
-            name
-            for name, target, part in means
-            if target is not None and abs(part.mean_m) > standard.mean_share_of_target.value * target
-        ),
-        tuple(
-            kind
-            for kind, survey, target in surveys
-            if survey is not None
-            and target is not None
-            and survey > standard.survey_share_of_target.value * target
-        ),
+        tuple(k for k, target, part in means if beyond(part.mean_m, standard.mean_share_of_target, target)),
+        tuple(k for k, target, m in surveys if m and beyond(m, standard.survey_share_of_target, target)),
         tuple(
             (point, name)
             for name, (points, values) in (errors or {}).items()
             for point, error in zip(points, values.tolist(), strict=True)
-            if (target := of_axis[name]) is not None and abs(error) > times * target
+            if beyond(error, standard.blunder_over_target, of_axis[name])
         ),
     )
 

@@ -5,7 +5,7 @@ Check points of which only moments were printed: the same tests and classes as o
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -138,9 +138,33 @@ def marked(figures: dict[str, str], say: Catalogue) -> dict[str, str]:
     return {name: figure.replace(".", say.mark) for name, figure in figures.items()}
 
 
-def localised(rows: Sequence[Sequence[str]], say: Catalogue) -> list[tuple[str, ...]]:
-    """Give the numbers in rows of cells the decimal mark of the language; what is no number stays."""
-    return [tuple(_NUMBER.sub(rf"\1{say.mark}\2", cell) for cell in row) for row in rows]
+def localised(rows: Iterable[Sequence[str]], say: Catalogue, names: int = 0) -> list[tuple[str, ...]]:
+    """Give the numbers in rows of cells the decimal mark of the language; what is no number stays.
+
+    names: how many cells at the start of each row are names, which stay too.
+    """
+    mark = rf"\1{say.mark}\2"
+    return [(*row[:names], *(_NUMBER.sub(mark, cell) for cell in row[names:])) for row in rows]
+
+
+def told_table(
+    key: str,
+    rows: Iterable[Sequence[str]],
+    say: Catalogue,
+    *,
+    caption: str | None = None,
+    more: Sequence[str] = (),
+    note: str = "",
+    names: int = 0,
+) -> TablePart:
+    """Make a table whose caption and heads (`KEY_heads`) are in the catalogue.
+
+    caption: in place of that of the catalogue.
+    more: heads of further columns.
+    names: as of `localised`.
+    """
+    heads = [*say(f"{key}_heads").split("|"), *more]
+    return table(say(key) if caption is None else caption, heads, localised(rows, say, names), note)
 
 
 def remarks(findings: tuple[Finding, ...], say: Catalogue) -> Remarks | Paragraph:
@@ -149,19 +173,12 @@ def remarks(findings: tuple[Finding, ...], say: Catalogue) -> Remarks | Paragrap
     return Remarks(texts) if texts else Paragraph(say("assessed.nothing"))
 
 
-def _table(key: str, rows: Sequence[Sequence[str]], say: Catalogue, *more: str) -> TablePart:
-    """Make a table whose caption and heads are in the catalogue."""
-    heads = [*say(f"assessed.{key}_heads").split("|"), *more]
-    return table(say(f"assessed.{key}"), heads, [(row[0], *localised([row[1:]], say)[0]) for row in rows])
-
-
 def _points(assessment: Assessment, say: Catalogue) -> TablePart:
     given = assessment.discrepancies
     pairs = zip(given.points, given.d_m.tolist(), strict=True)
     rows = [(point, *(_metres(value, "+.3f") for value in row)) for point, row in pairs]
     heads = [say("assessed.point"), *(f"d{name}" for name in COMPONENTS)]
-    cells = [(row[0], *localised([row[1:]], say)[0]) for row in rows]
-    return table(say("assessed.points"), heads, cells)
+    return table(say("assessed.points"), heads, localised(rows, say, 1))
 
 
 def _statistics(assessment: Assessment, say: Catalogue) -> TablePart:
@@ -175,7 +192,7 @@ def _statistics(assessment: Assessment, say: Catalogue) -> TablePart:
         rows.append(
             (f"d{c.name}", str(m.n), _metres(m.mean_m, "+.3f"), *spreads, *ordered, _metres(s.nmad_m))
         )
-    return _table("statistics", rows, say)
+    return told_table("assessed.statistics", rows, say, names=1)
 
 
 def _vectors(assessment: Assessment, say: Catalogue) -> TablePart:
@@ -188,7 +205,8 @@ def _vectors(assessment: Assessment, say: Catalogue) -> TablePart:
             figures = (s.rms_m, s.mean_m, s.maximum_m, s.probable_m, s.counted_m)
             counts = [say("assessed.counted", k=k, n=s.n) for k in s.within_gsd or ()]
             rows.append((name, str(s.n), *map(_metres, figures), *counts))
-    return _table("lengths", rows, say, *filter(None, gsd_heads.split("|")))
+    more = [head for head in gsd_heads.split("|") if head]
+    return told_table("assessed.lengths", rows, say, more=more, names=1)
 
 
 def _tests(assessment: Assessment, say: Catalogue) -> TablePart:
@@ -198,7 +216,7 @@ def _tests(assessment: Assessment, say: Catalogue) -> TablePart:
         if normality is not None:
             normal = f"{normality.p_value:.3f}", _yes(not normality.rejected, say)
         rows.append((f"d{c.name}", *_bias_cells(c, say), *normal, ", ".join(c.outliers) or _NONE))
-    return _table("tests", rows, say)
+    return told_table("assessed.tests", rows, say, names=1)
 
 
 def _bias_cells(component: ComponentResult, say: Catalogue) -> tuple[str, str, str]:
@@ -236,8 +254,8 @@ def _decisions(result: TableResult, title: str, size: float, say: Catalogue) -> 
     none = say("shown.none")
     reached = {"precise": result.precision_class or none, "accurate": result.accuracy_class or none}
     caption = say("assessed.at", title=title, size=size_text(result.table.basis, size))
-    heads = say("assessed.classes_heads").split("|")
-    return table(caption, heads, localised(rows, say), say("assessed.classes", **reached))
+    note = say("assessed.classes", **reached)
+    return told_table("assessed.classes", rows, say, caption=caption, note=note)
 
 
 def _smallest(result: TableResult, title: str, say: Catalogue) -> TablePart:
@@ -248,7 +266,7 @@ def _smallest(result: TableResult, title: str, say: Catalogue) -> TablePart:
         listed = classes.smallest_listed(result.table.sizes(), admitted.accuracy)
         sizes = (admitted.precision, admitted.accuracy, admitted.rmse, admitted.share, listed)
         rows.append((admitted.name, *(_size(basis, size, say) for size in sizes)))
-    return table(f"{title}: {what}", say("assessed.smallest_heads").split("|"), localised(rows, say))
+    return told_table("assessed.smallest", rows, say, caption=f"{title}: {what}")
 
 
 def _size(basis: str, size: float | None, say: Catalogue) -> str:
@@ -357,8 +375,7 @@ def _pieces(one: Assessment, say: Catalogue) -> tuple[Piece, ...]:
         for part in one.components
     ]
     head = say("assessed.head_moments", sign=say("shown.sign"), level=f"{one.question.confidence:.0%}")
-    heads = say("assessed.moments_heads").split("|")
-    parts: list[Piece] = [Paragraph(head), table(say("assessed.moments"), heads, localised(rows, say))]
+    parts: list[Piece] = [Paragraph(head), told_table("assessed.moments", rows, say)]
     for result in one.tables:
         parts += standard_parts(result, say)
     return (*parts, *_reached(one, say))

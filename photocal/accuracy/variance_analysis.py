@@ -1,6 +1,7 @@
 """Analysis of variance: which factor of an experiment moves its errors, and which of them only together."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -9,12 +10,12 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from photocal.accuracy.output import localised
+from photocal.accuracy.output import told_table
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.policy import policy
 from photocal.base.text_tables import read_wider_table
-from photocal.findings.document import Section, TablePart, table, text
+from photocal.findings.document import Section, TablePart, text
 from photocal.findings.texts import Catalogue
 
 SCHEMA = "photocal.variance-analysis/1"
@@ -131,9 +132,23 @@ def analyse_table(path: Path) -> dict[str, tuple[VarianceEffect, ...]]:
     return {name: analyse_variance(factors, column) for name, column in values.items()}
 
 
+def analyse_rmse(
+    factors: Mapping[str, Sequence[str]], rmse_m: Floats
+) -> dict[str, tuple[VarianceEffect, ...]]:
+    """Analyse the errors of runs in plane and in height; what cannot be analysed is left out.
+
+    rmse_m (n, 3): of the runs, X, Y, Z.
+    """
+    found = {}
+    for name, values in (("plane", np.hypot(rmse_m[:, 0], rmse_m[:, 1])), ("Z", rmse_m[:, 2])):
+        # Runs that failed leave combinations out.
+        with suppress(ConfigurationError):
+            found[name] = analyse_variance(factors, values)
+    return found
+
+
 def variance_tables(analysed: Mapping[str, tuple[VarianceEffect, ...]], say: Catalogue) -> list[TablePart]:
     """Write each analysis as people know it."""
-    heads = say("assessed.variance_heads").split("|")
     parts = []
     for value, effects in analysed.items():
         rows = []
@@ -145,7 +160,8 @@ def variance_tables(analysed: Mapping[str, tuple[VarianceEffect, ...]], say: Cat
                 (f"{one.f:.3g}", f"{one.p_value:.2g}", "*" if one.significant else "") if tested else [""] * 3
             )
             rows.append((*row, *ends))
-        parts.append(table(say("assessed.variance", value=value), heads, localised(rows, say)))
+        caption = say("assessed.variance", value=value)
+        parts.append(told_table("assessed.variance", rows, say, caption=caption))
     return parts
 
 

@@ -5,6 +5,7 @@ import gc
 import inspect
 import json
 import math
+import re
 import sys
 import time
 import types
@@ -34,24 +35,16 @@ from photocal.base.progress import Bar, Standing
 LINE_EVERY_S = 10.0
 
 
-@dataclass(frozen=True)
-class Listed:
-    """A command that is not imported yet: its place, as module:function, and its summary."""
-
-    place: str
-    summary: str
-
-
 class _Late(Mapping[str, Any]):
     """Commands by name; the module of each is imported when it is asked for."""
 
-    def __init__(self, listed: Mapping[str, Listed]) -> None:
-        self._listed, self._made = listed, dict[str, Any]()
+    def __init__(self, places: Mapping[str, str]) -> None:
+        self._places, self._made = places, dict[str, Any]()
 
     def __getitem__(self, name: str) -> Any:
         """Make the command once."""
         if name not in self._made:
-            module, _, attribute = self._listed[name].place.partition(":")
+            module, _, attribute = self._places[name].partition(":")
             found = getattr(import_module(module), attribute)
             if not isinstance(found, typer.Typer):
                 alone = typer.Typer(**_SHARED)
@@ -63,21 +56,21 @@ class _Late(Mapping[str, Any]):
 
     def __iter__(self) -> Iterator[str]:
         """Name them in their order."""
-        return iter(self._listed)
+        return iter(self._places)
 
     def __len__(self) -> int:
         """Count them."""
-        return len(self._listed)
+        return len(self._places)
 
 
 class _Commands(TyperGroup):
     """Commands that the help lists with their whole summaries, without importing them."""
 
-    listed: ClassVar[Mapping[str, Listed]] = {}
+    places: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.commands: Any = _Late(self.listed)
+        self.commands: Any = _Late(self.places)
         for own in self.params:
             own.process_value = partial(_as_given, own.process_value)  # type: ignore[method-assign]
 
@@ -92,7 +85,18 @@ class _Commands(TyperGroup):
         """Write the list of commands."""
         del ctx
         with formatter.section("Commands"):
-            formatter.write_dl([(name, one.summary) for name, one in self.listed.items()])
+            formatter.write_dl([(name, _summary(place)) for name, place in self.places.items()])
+
+
+def _summary(place: str) -> str:
+    """First line of a command's docstring, or the help of a group: read, for imports would cost seconds."""
+    from importlib import resources
+
+    module, _, name = place.partition(":")
+    package, _, file = module.rpartition(".")
+    source = resources.files(package).joinpath(f"{file}.py").read_text(encoding="utf-8")
+    said = re.search(rf'(?ms)^(?:def {name}\(.*?"""|{name} = application\(\s*")(.+?)[",]*$', source)
+    return said[1] if said else ""
 
 
 def _as_given(convert: Callable[[Any, Any], Any], context: Any, value: Any) -> Any:
@@ -110,11 +114,14 @@ _SHARED: dict[str, Any] = {
 }
 
 
-def application(help_text: str, commands: Mapping[str, Listed] | None = None) -> typer.Typer:
-    """Make a command line application: of commands that are imported one by one, or that are added to it."""
-    if commands is None:
+def application(help_text: str, places: Mapping[str, str] | None = None) -> typer.Typer:
+    """Make a command line application: of commands that are imported one by one, or that are added to it.
+
+    places: of the commands by their names, as module:function; the list has what their docstrings say first.
+    """
+    if places is None:
         return typer.Typer(help=help_text, **_SHARED)
-    app = typer.Typer(cls=type("Commands", (_Commands,), {"listed": commands}), help=help_text, **_SHARED)
+    app = typer.Typer(cls=type("Commands", (_Commands,), {"places": places}), help=help_text, **_SHARED)
     app.callback()(_of_program)
     return app
 

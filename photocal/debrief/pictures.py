@@ -13,7 +13,7 @@ from photocal.base.files import digest
 from photocal.base.policy import policy
 from photocal.base.progress import Progress
 from photocal.findings.finding import Finding, untested
-from photocal.geometry.camera import Camera
+from photocal.geometry.camera import Camera, held_camera
 from photocal.measurement.features import Arrays, FeatureSettings, cached, combined_key, detect
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import BLACK, WHITE, as_eight_bit, read_grey
@@ -225,9 +225,7 @@ def _known(stated: Camera, last: Sequence[Camera]) -> Camera:
     if not same:
         return stated
     nearest = min(same, key=lambda camera: abs(camera.value("c") / camera.pitch[0] - stated.value("c")))
-    none = np.zeros_like(nearest.estimated)
-    unknown = np.full(len(none), np.inf)
-    return replace(nearest, id=stated.id, estimated=none, prior_sigma=unknown, guessed=False)
+    return replace(held_camera(nearest), id=stated.id, guessed=False)
 
 
 def quick_findings(

@@ -7,14 +7,14 @@ model FULL_OPENCV, whose k4, k5, k6 are zero but for a `rational` lens, or OPENC
 documentation, "Output format" and "Camera models".
 """
 
+import re
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError
@@ -33,7 +33,7 @@ from photocal.exchange.pinhole import (
     to_vision,
 )
 from photocal.exchange.rigs import Frame, Rig, Sensor, of_colmap, sensor_of
-from photocal.exchange.source import Line, image_size, numbers, read_lines, read_text, require_readable, whole
+from photocal.exchange.source import Line, image_size, number, numbers, read_text, require_readable
 from photocal.geometry.camera import PARAMETERS, Camera, Model
 from photocal.geometry.conversion import Conversion
 
@@ -56,7 +56,6 @@ NO_POINT = -1
 # Number, place, reprojection error and track of a point.
 Point = tuple[int, Sequence[float], float, Integers]
 _MARK = np.dtype([("xy", "<f8", 2), ("key", "<i8")])
-_TRACK = np.dtype([("image", "<u4"), ("place", "<u4")])
 FILES = ("cameras", "images", "points3D")
 
 # What COLMAP has of other lenses.
@@ -110,12 +109,16 @@ def unknown_model(name: object, place: object) -> InputMalformedError:
     )
 
 
-class _Reader:
+class _Octets:
     """Goes through a binary file; never believes a count that the file is too short for."""
 
     def __init__(self, path: Path) -> None:
         require_readable(path)
-        self.path, self.content, self.at = path, path.read_bytes(), 0
+        self.place, self.content, self.at = path, path.read_bytes(), 0
+
+    def entries(self, _: str, smallest: int) -> Iterator[None]:
+        """Begin one entry after the other, each of so many bytes at least."""
+        yield from (None for _ in range(self._count(smallest)))
 
     def take(self, layout: str) -> tuple[Any, ...]:
         """Read values of a layout (as of `struct`); raises InputMalformedError where they are not finite."""
@@ -123,18 +126,20 @@ class _Reader:
         self._require(size)
         values = struct.unpack_from("<" + layout, self.content, self.at)
         if not all(np.isfinite(value) for value in values):
-            raise InputMalformedError(f"has a number that is not finite at byte {self.at}", where=self.path)
+            raise InputMalformedError(f"has a number that is not finite at byte {self.at}", where=self.place)
         self.at += size
         return values
 
-    def count(self, smallest: int) -> int:
-        """Read a number of entries, each of so many bytes at least."""
-        count = int(self.take("Q")[0])
-        if count * smallest > len(self.content) - self.at:
-            raise InputMalformedError(
-                f"states {count} entries, more than the file can hold", "is it cut?", where=self.path
-            )
-        return count
+    def model(self) -> tuple[str, tuple[float, ...]]:
+        """Read a camera model that stands before the size, and the size."""
+        (model,) = self.take("i")
+        if model not in MODELS:
+            raise unknown_model(model, self.place)
+        return MODELS[model][0], self.take("QQ")
+
+    def parameters(self, count: int) -> tuple[float, ...]:
+        """Read the parameters of a model that has so many."""
+        return self.take(f"{count}d")
 
     def name(self) -> str:
         """Read a text that ends with a zero byte."""
@@ -146,80 +151,163 @@ class _Reader:
         try:
             return text.decode("utf-8")
         except UnicodeDecodeError as failure:
-            raise InputMalformedError("has a name that is not UTF-8", where=self.path) from failure
+            raise InputMalformedError("has a name that is not UTF-8", where=self.place) from failure
 
-    def records(self, layout: np.dtype[np.void]) -> NDArray[np.void]:
-        """Read a counted table of records."""
-        count = self.count(layout.itemsize)
-        rows = np.frombuffer(self.content, layout, count, self.at)
-        self.at += layout.itemsize * count
-        return rows
+    def sensor(self) -> str:
+        """Read kind and number of a sensor."""
+        return " ".join(map(str, self.take("iI")))
+
+    def marks(self) -> tuple[Floats, Integers]:
+        """Read a counted table of marks, and the keys of their points."""
+        count = self._count(_MARK.itemsize)
+        rows = np.frombuffer(self.content, _MARK, count, self.at)
+        self.at += _MARK.itemsize * count
+        return rows["xy"].astype(float), rows["key"].astype(np.int64)
+
+    def track(self) -> None:
+        """Pass over the images that show a point: these say it, too."""
+        pair = struct.calcsize("<II")
+        count = self._count(pair)
+        self.at += pair * count
+
+    def _count(self, smallest: int) -> int:
+        count = int(self.take("Q")[0])
+        if count * smallest > len(self.content) - self.at:
+            raise InputMalformedError(
+                f"states {count} entries, more than the file can hold", "is it cut?", where=self.place
+            )
+        return count
 
     def _require(self, size: int) -> None:
         if self.at + size > len(self.content):
             raise InputMalformedError(
-                f"is cut at byte {len(self.content)}", "was it written completely?", where=self.path
+                f"is cut at byte {len(self.content)}", "was it written completely?", where=self.place
             )
 
 
-def _lenses(path: Path) -> Iterator[Lens]:
-    reader = _Reader(path)
-    for _ in range(reader.count(24)):
-        key, model, width, height = reader.take("IiQQ")
-        if model not in MODELS:
-            raise unknown_model(model, path)
-        name, names = MODELS[model]
-        yield Lens(key, name, image_size(width, height, path), reader.take(f"{len(names)}d"))
+class _Rows:
+    """Goes through a text file by the steps of `_Octets`: a row has what an entry has, without counts."""
+
+    def __init__(self, path: Path) -> None:
+        lines = (Line(path, k, text) for k, text in enumerate(read_text(path).split("\n"), start=1))
+        # An image without marks has an empty second line.
+        self.lines = (line for line in lines if not line.text.lstrip().startswith("#"))
+        self.line, self.cells, self.what = Line(path, 0, ""), list[str](), ""
+
+    @property
+    def place(self) -> str:
+        """File and line, for messages."""
+        return self.line.place
+
+    def entries(self, what: str, _: int) -> Iterator[None]:
+        """Begin one row after the other."""
+        self.what = what
+        for line in self.lines:
+            if line.text.strip():
+                self.line, self.cells = line, line.text.split()
+                yield
+
+    def take(self, layout: str) -> tuple[Any, ...]:
+        """Read numbers, one for each of a layout (as of `struct`)."""
+        codes = "".join(int(count or 1) * code for count, code in re.findall(r"(\d*)([A-Za-z])", layout))
+        pairs = zip(codes, self._words(len(codes)), strict=True)
+        values = ((code, number(cell, self.place, self.what)) for code, cell in pairs)
+        return tuple(value if code == "d" else key_of(value, self.place) for code, value in values)
+
+    def model(self) -> tuple[str, tuple[float, ...]]:
+        """Read a camera model that stands before the size, and the size."""
+        (model,) = self._words(1)
+        if model not in NUMBERS:
+            raise unknown_model(model, self.place)
+        return model, self.take("QQ")
+
+    def parameters(self, _: int) -> tuple[float, ...]:
+        """Read all numbers that are left: how many a model has is checked where it is known."""
+        return tuple(numbers(" ".join(self.cells), self.place, self.what))
+
+    def name(self) -> str:
+        """Read a name, which may have blanks, to the end of the row, and go to the next."""
+        self._words(0, more=1)
+        before = len(self.line.text.split()) - len(self.cells)
+        name = self.line.text.split(maxsplit=before)[before].strip()
+        line = next(self.lines, None)
+        if line is None:
+            what = f"ends before the marks of image {name}"
+            raise InputMalformedError(what, "is the file cut?", where=self.line.path)
+        self.line, self.cells = line, line.text.split()
+        return name
+
+    def sensor(self) -> str:
+        """Read kind and number of a sensor."""
+        return " ".join(self._words(2))
+
+    def marks(self) -> tuple[Floats, Integers]:
+        """Read the marks of the rest of a row, and the keys of their points."""
+        table = self._table(3)
+        return table[:, :2], np.array([key_of(v, self.place) for v in table[:, 2].tolist()], dtype=np.int64)
+
+    def track(self) -> None:
+        """Pass over the images that show a point: these say it, too."""
+        for value in self._table(2).ravel().tolist():
+            key_of(value, self.place)
+
+    def _words(self, count: int, more: int = 0) -> list[str]:
+        if len(self.cells) < count + more:
+            raise self.line.malformed(f"is not a row of {self.what}", "is the file cut?")
+        words, self.cells = self.cells[:count], self.cells[count:]
+        return words
+
+    def _table(self, columns: int) -> Floats:
+        flat = np.array(self.parameters(0))
+        if len(flat) % columns:
+            raise self.line.malformed("has a mark that is not complete")
+        return flat.reshape(-1, columns)
 
 
-def _shots(path: Path) -> Iterator[Shot]:
-    reader = _Reader(path)
-    for _ in range(reader.count(73)):
-        key, *pose, lens = reader.take("I7dI")
-        name = reader.name()
-        rows = reader.records(_MARK)
-        if not np.isfinite(rows["xy"]).all():
-            raise InputMalformedError(f"image {name} has a mark that is not finite", where=path)
-        marks, keys = rows["xy"].astype(float), rows["key"].astype(np.int64)
+_Source = _Octets | _Rows
+
+
+def _lenses(source: _Source) -> Iterator[Lens]:
+    for _ in source.entries("a camera", 24):
+        (key,) = source.take("I")
+        name, (width, height) = source.model()
+        size = image_size(width, height, source.place)
+        yield Lens(key, name, size, source.parameters(len(MODELS[NUMBERS[name]][1])))
+
+
+def _shots(source: _Source) -> Iterator[Shot]:
+    for _ in source.entries("an image", 73):
+        key, *pose, lens = source.take("I7dI")
+        name = source.name()
+        marks, keys = source.marks()
+        if not np.isfinite(marks).all():
+            raise InputMalformedError(f"image {name} has a mark that is not finite", where=source.place)
         yield Shot(key, tuple(pose[:4]), tuple(pose[4:]), lens, name, marks, keys)
 
 
-def _points(path: Path) -> Iterator[Point]:
-    reader = _Reader(path)
-    for _ in range(reader.count(51)):
-        key, x, y, z, _, _, _, error = reader.take("Q3d3Bd")
-        rows = reader.records(_TRACK)
-        yield (
-            key_of(key, path),
-            (x, y, z),
-            error,
-            np.column_stack([rows["image"], rows["place"]]).astype(np.int64),
-        )
+def _points(source: _Source) -> Iterator[tuple[int, tuple[float, ...]]]:
+    for _ in source.entries("a point", 51):
+        key, *xyz = source.take("Q3d")
+        source.take("3Bd")
+        source.track()
+        yield key_of(key, source.place), tuple(xyz)
 
 
-def _rigs(path: Path) -> Iterator[Rig]:
-    reader = _Reader(path)
-    for _ in range(reader.count(8)):
-        key, count = reader.take("II")
-        sensors: dict[str, Sensor] = {}
-        for k in range(count):
-            name = "{} {}".format(*reader.take("iI"))
-            if k == 0:
-                sensors[name] = np.eye(3), np.zeros(3)
-            elif reader.take("B")[0]:
-                pose = reader.take("7d")
-                sensors[name] = sensor_of(pose[:4], pose[4:], path)
-            else:
-                sensors[name] = None
+def _rigs(source: _Source) -> Iterator[Rig]:
+    for _ in source.entries("a rig", 8):
+        key, count = source.take("II")
+        sensors: dict[str, Sensor] = {source.sensor(): (np.eye(3), np.zeros(3))} if count else {}
+        for _ in range(1, count):
+            name = source.sensor()
+            pose = source.take("7d") if source.take("B")[0] else ()
+            sensors[name] = sensor_of(pose[:4], pose[4:], source.place) if pose else None
         yield key, sensors
 
 
-def _frames(path: Path) -> Iterator[Frame]:
-    reader = _Reader(path)
-    for _ in range(reader.count(68)):
-        key, rig, *_, count = reader.take("II7dI")
-        data = (reader.take("iIQ") for _ in range(count))
-        yield key, rig, [(f"{kind} {sensor}", image) for kind, sensor, image in data]
+def _frames(source: _Source) -> Iterator[Frame]:
+    for _ in source.entries("a frame", 68):
+        key, rig, *_, count = source.take("II7dI")
+        yield key, rig, [(source.sensor(), source.take("Q")[0]) for _ in range(count)]
 
 
 def write_binary_model(
@@ -244,89 +332,6 @@ def write_binary_model(
         for key, xyz, error, track in points:
             out.write(struct.pack("<Q3d3BdQ", key, *xyz, 128, 128, 128, error, len(track)))
             out.write(track.astype("<u4").tobytes())
-
-
-def _text_rows(path: Path) -> list[Line]:
-    """All lines but comments; an image without marks has an empty second line."""
-    lines = (Line(path, k, text) for k, text in enumerate(read_text(path).split("\n"), start=1))
-    return [line for line in lines if not line.text.lstrip().startswith("#")]
-
-
-def _text_lenses(path: Path) -> Iterator[Lens]:
-    for line in _text_rows(path):
-        cells = line.text.split()
-        if not cells:
-            continue
-        if len(cells) < 4:
-            raise line.malformed("is not a row of a camera")
-        if cells[1] not in NUMBERS:
-            raise unknown_model(cells[1], line.place)
-        key, width, height = (whole(cells[k], line.place, "camera") for k in (0, 2, 3))
-        values = numbers(" ".join(cells[4:]), line.place, "camera parameters")
-        yield Lens(key, cells[1], image_size(width, height, line.place), tuple(values))
-
-
-def _text_shots(path: Path) -> Iterator[Shot]:
-    rows = iter(_text_rows(path))
-    for line in rows:
-        if not line.text.strip():
-            continue
-        cells = line.text.split(maxsplit=9)
-        if len(cells) != 10:
-            raise line.malformed("is not a row of an image", "is the file cut?")
-        values = numbers(" ".join(cells[:9]), line.place, "image")
-        marks = next(rows, None)
-        if marks is None:
-            raise InputMalformedError(
-                f"ends before the marks of image {cells[9]}", "is the file cut?", where=path
-            )
-        flat = np.array(numbers(marks.text, marks.place, "marks"))
-        if len(flat) % 3:
-            raise InputMalformedError("has a mark that is not complete", where=marks.place)
-        table = flat.reshape(-1, 3)
-        pose = tuple(values[1:5]), tuple(values[5:8])
-        keys = np.array([key_of(value, marks.place) for value in table[:, 2].tolist()], dtype=np.int64)
-        key, lens = (key_of(values[k], line.place) for k in (0, 8))
-        yield Shot(key, *pose, lens, cells[9].strip(), table[:, :2], keys)
-
-
-def _text_points(path: Path) -> Iterator[Point]:
-    for line in _text_rows(path):
-        cells = line.text.split()
-        if not cells:
-            continue
-        if len(cells) < 8 or len(cells) % 2:
-            raise line.malformed("is not a row of a point", "is the file cut?")
-        values = numbers(line.text, line.place, "point")
-        key, *track = (key_of(value, line.place) for value in (values[0], *values[8:]))
-        yield key, values[1:4], values[7], np.array(track, dtype=np.int64).reshape(-1, 2)
-
-
-def _text_rigs(path: Path) -> Iterator[Rig]:
-    for line in read_lines(path):
-        cells = line.text.split()
-        sensors: dict[str, Sensor] = {" ".join(cells[2:4]): (np.eye(3), np.zeros(3))}
-        at = 4
-        while at + 2 < len(cells):
-            name, known = " ".join(cells[at : at + 2]), cells[at + 2] == "1"
-            pose = numbers(" ".join(cells[at + 3 : at + 10]), line.place, "sensor", 7) if known else []
-            sensors[name] = sensor_of(pose[:4], pose[4:], line.place) if known else None
-            at += 10 if known else 3
-        yield whole(cells[0], line.place, "rig"), sensors
-
-
-def _text_frames(path: Path) -> Iterator[Frame]:
-    for line in read_lines(path):
-        cells = line.text.split()
-        if len(cells) < 10:
-            raise line.malformed("is not a row of a frame", "is the file cut?")
-        key, rig = (whole(cell, line.place, "frame") for cell in cells[:2])
-        places = range(10, len(cells) - 2, 3)
-        yield (
-            key,
-            rig,
-            [(" ".join(cells[k : k + 2]), whole(cells[k + 2], line.place, "frame")) for k in places],
-        )
 
 
 def write_text_model(
@@ -362,14 +367,14 @@ def read(path: Path) -> ForeignProject:
 
 def read_colmap(folder: Path) -> Block:
     """Read a model folder; binary files where there are any."""
-    binary = (folder / "cameras.bin").exists()
-    first, second, third = files = [folder / f"{name}.{'bin' if binary else 'txt'}" for name in FILES]
-    lenses = list((_lenses if binary else _text_lenses)(first))
-    shots = list((_shots if binary else _text_shots)(second))
-    points = list((_points if binary else _text_points)(third))
+    suffix = "bin" if (folder / "cameras.bin").exists() else "txt"
+    opened: Callable[[Path], _Source] = _Octets if suffix == "bin" else _Rows
+    files = [folder / f"{name}.{suffix}" for name in FILES]
+    lenses, shots = list(_lenses(opened(files[0]))), list(_shots(opened(files[1])))
+    points = list(_points(opened(files[2])))
     cameras = {lens.key: _camera(lens, folder) for lens in lenses}
     order = {key: k for k, key in enumerate(cameras)}
-    position = {key: k for k, (key, *_) in enumerate(points)}
+    position = {key: k for k, (key, _) in enumerate(points)}
     if len(position) < len(points) or len(cameras) < len(lenses):
         raise InputMalformedError("has two points or cameras of the same number", where=folder)
     for shot in shots:
@@ -387,7 +392,7 @@ def read_colmap(folder: Path) -> Block:
         raise InputMalformedError(f"the quaternion of image {name} does not have length 1", where=folder)
     rotation = rotation_from_quaternion(quaternions)
     translation = np.array([shot.translation for shot in shots]).reshape(-1, 3)
-    xyz = np.array([place for _, place, _, _ in points], dtype=float).reshape(-1, 3)
+    xyz = np.array([place for _, place in points], dtype=float).reshape(-1, 3)
     if not max(np.abs(translation).max(initial=0), np.abs(xyz).max(initial=0)) < LARGEST:
         raise InputMalformedError("has coordinates beyond 1e9 m", "is it damaged?", where=folder)
     image = np.repeat(np.arange(len(seen)), [int(use.sum()) for use in seen])
@@ -403,12 +408,10 @@ def read_colmap(folder: Path) -> Block:
     listed, rays = ObjectPoints(tuple(map(str, position)), xyz), pixels(image, point, marks)
     given = block(folder.name, tuple(cameras.values()), images, listed, rays, files)
     keys = {shot.key: shot.name for shot in shots}
-    suffix = "bin" if binary else "txt"
     paths = folder / f"rigs.{suffix}", folder / f"frames.{suffix}"
     if not all(path.is_file() for path in paths):
         return of_colmap(given, folder, keys, (), ())
-    read = (_rigs, _frames) if binary else (_text_rigs, _text_frames)
-    return of_colmap(given, folder, keys, read[0](paths[0]), read[1](paths[1]))
+    return of_colmap(given, folder, keys, _rigs(opened(paths[0])), _frames(opened(paths[1])))
 
 
 def write_text(folder: Path, given: Block, choices: Choices) -> tuple[Conversion, ...]:

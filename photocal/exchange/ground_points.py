@@ -25,7 +25,7 @@ from photocal.exchange.exporting import Choices
 from photocal.exchange.parts import Mark, digits, require_no_blanks, require_unique
 from photocal.exchange.source import Line, number, numbers, read_lines
 from photocal.geometry.conversion import Conversion
-from photocal.geometry.rotation import matrix_from_angles
+from photocal.geometry.rotation import matrix_from_angles, turned_left
 
 _CAMERA_TO_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -252,10 +252,7 @@ def _to_map(crs: str, x: Floats, y: Floats) -> Floats:
     # Some metres to the north, in which meridians are straight.
     north_deg = 1e-4
     north_x, north_y = way.transform(lon, lat + north_deg, direction="INVERSE")
-    convergence = np.arctan2(north_x - x, north_y - y)
-    s, c, zeros, ones = np.sin(convergence), np.cos(convergence), np.zeros_like(x), np.ones_like(x)
-    turn = np.array([[c, s, zeros], [-s, c, zeros], [zeros, zeros, ones]])
-    return np.asarray(np.moveaxis(turn, -1, 0))
+    return turned_left(np.arctan2(north_x - x, north_y - y))
 
 
 def _head(path: Path) -> tuple[str, list[Line]]:

@@ -3,7 +3,7 @@
 import datetime as dt
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib import resources
 from textwrap import TextWrapper
@@ -315,24 +315,29 @@ def _text(name: str) -> str:
 
 def pdf(document: Document, date: dt.date) -> bytes:
     """Render a report as PDF."""
+    inputs = {"document": json.dumps(as_json(_unbroken(document)), ensure_ascii=False)}
+    return typeset(resources.files(__package__).joinpath(TEMPLATE).read_bytes(), date, inputs)
+
+
+def typeset(source: bytes, date: dt.date, inputs: Mapping[str, str] | None = None) -> bytes:
+    """Set a PDF by Typst, with the fonts that are its own; raises OutputError.
+
+    date: of the PDF, that it is the same each time.
+    inputs: what the source takes by `sys.inputs`.
+    """
     import typst
 
-    document = _unbroken(document)
-    template = resources.files(__package__).joinpath(TEMPLATE).read_bytes()
-    compiler = typst.Compiler(
-        font_paths=typst.Fonts(include_system_fonts=False),
-        sys_inputs={"document": json.dumps(as_json(document), ensure_ascii=False)},
-    )
+    fonts = typst.Fonts(include_system_fonts=False)
+    compiler = typst.Compiler(font_paths=fonts, sys_inputs=dict(inputs or {}))
     midnight = dt.datetime.combine(date, dt.time(), tzinfo=dt.UTC)
+    wrong, remedy = "the PDF could not be typeset ({})", "report this"
     try:
-        pages = compiler.compile(template, format="pdf", timestamp=midnight)
+        made = compiler.compile(source, format="pdf", timestamp=midnight)
     except typst.TypstError as refusal:
-        raise OutputError(
-            f"the PDF could not be typeset ({refusal})", "report this with the run folder"
-        ) from None
-    if not isinstance(pages, bytes):
-        raise OutputError("the PDF could not be typeset (no single file)", "report this with the run folder")
-    return pages
+        raise OutputError(wrong.format(refusal), remedy) from None
+    if not isinstance(made, bytes):
+        raise OutputError(wrong.format("no single file"), remedy)
+    return made
 
 
 def as_json(document: Document) -> dict[str, Any]:

@@ -4,8 +4,10 @@ The same words stand on the screen, in reports, on a certificate and in JSON.
 """
 
 import re
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib import resources
 from itertools import groupby
 from typing import Any, Literal
 
@@ -25,43 +27,8 @@ MOST_LINES, ALIKE = 7, 3
 # Causes that no camera can have estimated that was held because the block does not bear it.
 _ESTIMATED = ("principal-distance", "principal-point")
 _ORDER = ("refused", "grave", "doubtful", "consequence")
-# What concerns only a camera that is carried elsewhere: this block absorbed it.
-_OF_CAMERA = frozenset((
-    "c-on-positions", "c-changed", "c-bias",
-    "jackknife", "image-needed", "significance", "not_significant",
-    "only_its_prior", "weak_principal_distance", "weak_principal_distance_shape",
-    "focal_length_differs", "px_printed_as_mm", "pitch_contradicts_sensor",
-    "pitch_contradicts_focal_length", "pitch_not_square", "distortion_folds_outside",
-    "camera-held", "c-refuted-by-rays", "maker-tag",
-    "correlation_malformed", "correlation_not_positive", "correlation_sign_lost",
-    "not_a_number",
-))  # fmt: skip
-# What concerns only coordinates: no camera parameter follows from it.
-_OF_BLOCK = frozenset((
-    "check-outside-prediction", "check-as-control", "check-at-control",
-    "no-check-points", "strips-without-control", "no-image", "one-image-only",
-    "image-left-out", "unknown-mark", "unknown-target", "mark-outside", "marks-reframed",
-    "control-not-used", "control-off", "control-far", "marks-apart", "mark-left-out", "control-in-corner",
-    "distance-left-out", "mark-off", "targets-not-sought", "target-ambiguous",
-    "target-too-small", "no-target-found", "no-coordinates",
-    "events-without-image", "images-without-event", "images-ambiguous",
-    "exposure-not-placed", "block-not-placed", "heights-on-positions",
-    "heights-above-take-off", "positions-in-line", "outliers",
-    "bias", "class-differs", "target-missed",
-    "survey-too-coarse", "survey-accuracy-missing", "systematic",
-    "beyond-target", "boresight", "lever-arm-axes",
-    "vehicle-antenna", "vehicle-mount", "image-rotations",
-    "gsd_contradicts_height", "base_contradicts_overlap", "single-check-point",
-    "small-sample", "pictures-not-fixed", "corrections-old", "list-of-another-flight", "events-beside-time",
-    "events-without-position", "events-without-sigma", "events-twice", "events-out-of-order", "events-jump",
-    "events-beside-pictures", "table-beside-pictures", "laser-heights", "laser-observations",
-    "base-moved", "base-other-frame", "base-frame-untold", "positions-moved",
-))  # fmt: skip
-# What shows that something is wrong, and goes with it: behind whatever may be its cause.
-_SHOWS = frozenset((
-    "c-bias", "significance", "global-factor", "global-test", "prediction-too-good", "method-refused",
-    "check-outside-prediction", "control-outside-prediction", "check-mean",
-))  # fmt: skip
+_CONCERNS = tomllib.loads(resources.files(__package__).joinpath("concerns.toml").read_text(encoding="utf-8"))
+_OF_CAMERA, _OF_BLOCK, _SHOWS = (frozenset(_CONCERNS[name]) for name in ("camera", "block", "shows"))
 _NUMBERED = re.compile(r"(.*?)(\d+)(\D*)$")
 
 
@@ -189,13 +156,18 @@ def _answer(deciding: Sequence[Finding], elsewhere: frozenset[str]) -> Answer:
     return "reserved" if bearing else "yes"
 
 
+def alike_findings(findings: Iterable[Finding]) -> dict[tuple[str, str], list[Finding]]:
+    """Findings of one code and cause, as they are one line where they are many."""
+    groups: dict[tuple[str, str], list[Finding]] = {}
+    for finding in findings:
+        groups.setdefault((finding.code, finding.cause), []).append(finding)
+    return groups
+
+
 def _lines(deciding: Sequence[Finding], images: int) -> tuple[VerdictLine, ...]:
     """Findings of one code and one cause are one line, in the place of the worst."""
-    groups: dict[tuple[str, str], list[Finding]] = {}
-    for finding in deciding:
-        groups.setdefault((finding.code, finding.cause), []).append(finding)
     lines = list[VerdictLine]()
-    for alike in groups.values():
+    for alike in alike_findings(deciding).values():
         together = len(alike) >= ALIKE
         lines += [_line(part, images) for part in ([alike] if together else [[one] for one in alike])]
     return tuple(lines)

@@ -381,6 +381,12 @@ def camera(
     )
 
 
+def held_camera(known: Camera) -> Camera:
+    """Give a camera of which nothing is estimated, and nothing observed beforehand."""
+    none = np.zeros_like(known.estimated)
+    return replace(known, estimated=none, prior_sigma=np.full(len(none), np.inf))
+
+
 def pixel_to_plane(size_px: ArrayLike, pitch: ArrayLike, pixel: Floats) -> Floats:
     """Turn pixel coordinates into image plane coordinates.
 

@@ -28,6 +28,11 @@ def matrix_from_angles(angles: Floats) -> Floats:
     return np.array(columns, dtype=float).T
 
 
+def turned_left(angle: Floats | float) -> Floats:
+    """Rotation matrices (..., 3, 3) to axes that are turned left about the third one, by radians."""
+    return matrix_from_angles(np.multiply.outer(angle, [0.0, 0.0, 1.0]))
+
+
 def angles_from_matrix(matrix: Floats) -> Floats:
     """Angles of rotation matrices, the inverse of `matrix_from_angles`.
 

@@ -18,7 +18,7 @@ from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.base.policy import policy
 from photocal.block.model import Block
 from photocal.findings.texts import Catalogue
-from photocal.geometry.camera import Camera
+from photocal.geometry.camera import Camera, held_camera
 from photocal.georeferencing.comparison import (
     Differences,
     differences,
@@ -207,8 +207,7 @@ def _cameras(experiment: Experiment, block: Block) -> list[tuple[str, Use, Camer
         return [("", "as-given", original)]
     made: list[tuple[str, Use, Camera]] = []
     for interior in experiment.interiors:
-        held = np.zeros_like(original.estimated)
-        given = replace(interior, id=original.id, estimated=held, prior_sigma=np.full(held.shape, np.inf))
+        given = replace(held_camera(interior), id=original.id)
         for use in experiment.uses:
             camera = replace(given, prior_correlation=None)
             if use == "weighted":

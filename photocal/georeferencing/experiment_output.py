@@ -1,7 +1,6 @@
 """Results of an experiment: JSON, text, tables and plots of the RMSE at the check points."""
 
 from collections.abc import Iterable
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,17 +8,16 @@ import numpy as np
 
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.maps import save_figures
-from photocal.accuracy.output import localised
+from photocal.accuracy.output import localised, told_table
 from photocal.accuracy.variance_analysis import (
     VarianceEffect,
-    analyse_variance,
+    analyse_rmse,
     variance_record,
     variance_tables,
 )
 from photocal.base.arrays import as_plain, picked
-from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_folder, rows_text, write_json
-from photocal.findings.document import Section, TablePart, table, text
+from photocal.findings.document import Section, table, text
 from photocal.findings.texts import Catalogue
 from photocal.georeferencing.comparison import Differences, rms
 from photocal.georeferencing.experiment import ExperimentOutcome, ExperimentRun, RunPair, WithoutControlPoint
@@ -123,13 +121,8 @@ def _variance(outcome: ExperimentOutcome) -> dict[str, tuple[VarianceEffect, ...
     runs = [(run, run.check.rmse) for run in outcome.runs if run.check is not None and run.check.names]
     keys = ("interior", "use", "pattern", "method")
     factors = {key: [str(getattr(run, key)) for run, _ in runs] for key in keys}
-    rmse = np.array([values for _, values in runs]).reshape(-1, 3)
-    found = {}
-    for name, values in (("plane", np.hypot(rmse[:, 0], rmse[:, 1])), ("Z", rmse[:, 2])):
-        # Runs that failed leave combinations out.
-        with suppress(ConfigurationError):
-            found[f"RMSE {name}"] = analyse_variance(factors, values)
-    return found
+    found = analyse_rmse(factors, np.array([values for _, values in runs]).reshape(-1, 3))
+    return {f"RMSE {name}": effects for name, effects in found.items()}
 
 
 def to_text(outcome: ExperimentOutcome, say: Catalogue) -> str:
@@ -149,16 +142,12 @@ def to_text(outcome: ExperimentOutcome, say: Catalogue) -> str:
         (case.method, case.point, *([*[""] * 6, case.failure] if case.failure else _left_cells(case)))
         for case in outcome.left_out
     ]
-
-    def headed(caption: str, heads: str, rows: list[tuple[str, ...]]) -> TablePart:
-        """Make a table with heads and decimal mark of the language."""
-        return table(caption, heads.split("|"), localised(rows, say))
-
+    caption = say("experiment.runs", sign=say("shown.sign"))
     tables = (
-        headed(say("experiment.runs", sign=say("shown.sign")), say("experiment.runs_heads"), runs),
-        headed(say("experiment.poses"), say("experiment.poses_heads"), poses),
-        headed(say("experiment.pairs"), "|X|Y|Z", pairs),
-        headed(say("experiment.left"), say("experiment.left_heads"), left),
+        told_table("experiment.runs", runs, say, caption=caption),
+        told_table("experiment.poses", poses, say),
+        table(say("experiment.pairs"), ("", *"XYZ"), localised(pairs, say)),
+        told_table("experiment.left", left, say),
         support_table(outcome.supports, say),
         *variance_tables(_variance(outcome), say),
         *(prior_tables(outcome.priors, say) if outcome.priors else ()),

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from photocal.accuracy.classes import class_cm, condition
+from photocal.accuracy.classes import ValueClass, class_cm, condition
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.maps import check_figures, save_figures, write_geopackage
-from photocal.accuracy.output import localised, marked, remarks
+from photocal.accuracy.output import localised, marked, remarks, told_table
 from photocal.accuracy.output import to_json as assessment_json
 from photocal.accuracy.standard import size_text
 from photocal.base.arrays import Floats, as_plain, picked
@@ -34,55 +34,34 @@ _POSE = ("omega_deg", "phi_deg", "kappa_deg", "X_m", "Y_m", "Z_m")
 
 def _standards(check: BlockCheck, say: Catalogue) -> list[TablePart]:
     """Give one row for each statement, one column for each method that has check points."""
-    judged = [(entry.result.method, entry.assessment) for entry in check.judged]
-    known = [(method, assessment) for method, assessment in judged if assessment is not None]
-    if not known:
+    judged = [(entry, entry.assessment) for entry in check.judged if entry.assessment is not None]
+    if not judged:
         return []
+    known = [assessment for _, assessment in judged]
+    rows: list[tuple[str, ...]] = [
+        (say("checked.mean", axis=axis), *(_mean(entry.check, k, say) for entry, _ in judged))
+        for k, axis in enumerate("XYZ")
+    ]
+    for results in zip(*(assessment.tables for assessment in known), strict=True):
+        first, basis = results[0], results[0].table.basis
+        name = f"{first.standard_id} {first.table.product}"
+        if first.size is not None:
+            asked = {"size": size_text(basis, first.size), "points": len(known[0].discrepancies.points)}
+            classes = (_both(one.precision_class, one.accuracy_class, say) for one in results)
+            rows.append((say("checked.asked", name=name, **asked), *classes))
+        best = [one.admitted[0] for one in results]
+        sizes = (_both(_size(basis, one.precision), _size(basis, one.accuracy), say) for one in best)
+        rows.append((say("checked.from", name=name, best=best[0].name), *sizes))
+    for values in zip(*(assessment.values for assessment in known), strict=True):
+        reached = (_value_class(value, say) for value in values)
+        rows.append((say("checked.reached", name=values[0].standard.id), *reached))
+    heads = ["", *(f"{say(f'shown.{entry.result.method}')}<" for entry, _ in judged)]
+    return [table("", heads, localised(rows, say, 1))]
+
+
+def _both(precise: str | None, accurate: str | None, say: Catalogue) -> str:
     none = say("shown.none")
-    heads = ["", *(f"{say(f'shown.{method}')}<" for method, _ in known)]
-    rows: list[tuple[str, ...]] = []
-    for k, axis in enumerate("XYZ"):
-        means = [_mean(entry.check, k, say) for entry in check.judged if entry.assessment is not None]
-        rows.append((say("checked.mean", axis=axis), *means))
-    for k, judged_by in enumerate(known[0][1].tables):
-        name, basis = f"{judged_by.standard_id} {judged_by.table.product}", judged_by.table.basis
-        results = [assessment.tables[k] for _, assessment in known]
-        if judged_by.size is not None:
-            asked = size_text(basis, judged_by.size)
-            cells = [
-                say(
-                    "checked.both",
-                    precise=result.precision_class or none,
-                    accurate=result.accuracy_class or none,
-                )
-                for result in results
-            ]
-            points = len(known[0][1].discrepancies.points)
-            rows.append((say("checked.asked", name=name, size=asked, points=points), *cells))
-        best = judged_by.admitted[0].name
-        smallest = [result.admitted[0] for result in results]
-        cells = [
-            say(
-                "checked.both",
-                precise=_size(basis, admitted.precision, none),
-                accurate=_size(basis, admitted.accuracy, none),
-            )
-            for admitted in smallest
-        ]
-        rows.append((say("checked.from", name=name, best=best), *cells))
-    for k, value in enumerate(known[0][1].values):
-        reached = [assessment.values[k] for _, assessment in known]
-        cells = [
-            say(
-                "checked.reached_both",
-                horizontal=_class(least.horizontal_m),
-                vertical=_class(least.vertical_m),
-                condition=condition(least, say),
-            )
-            for least in reached
-        ]
-        rows.append((say("checked.reached", name=value.standard.id), *cells))
-    return [table("", heads, [(row[0], *localised([row[1:]], say)[0]) for row in rows])]
+    return say("checked.both", precise=precise or none, accurate=accurate or none)
 
 
 def _mean(check: Differences, axis: int, say: Catalogue) -> str:
@@ -93,12 +72,17 @@ def _mean(check: Differences, axis: int, say: Catalogue) -> str:
     return f"{mean} +- {joint.mean_sigma[axis]:.4f} m{say('checked.biased') if joint.biased else ''}"
 
 
-def _size(basis: str, size: float | None, none: str) -> str:
-    return none if size is None else size_text(basis, size).removeprefix("interval ")
+def _size(basis: str, size: float | None) -> str | None:
+    return None if size is None else size_text(basis, size).removeprefix("interval ")
 
 
-def _class(rmse_m: float | None) -> str:
-    return "-" if rmse_m is None else f"{class_cm(rmse_m):.1f} cm"
+def _value_class(value: ValueClass, say: Catalogue) -> str:
+    horizontal, vertical = (
+        "-" if rmse_m is None else f"{class_cm(rmse_m):.1f} cm"
+        for rmse_m in (value.horizontal_m, value.vertical_m)
+    )
+    said = condition(value, say)
+    return say("checked.reached_both", horizontal=horizontal, vertical=vertical, condition=said)
 
 
 def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
@@ -224,7 +208,7 @@ def sections(
     details: points, tests and findings in full, beside the verdict and the figures of the methods.
     """
     rows = [_row(judged, group, say) for judged in check.judged for group in judged.differences]
-    cells = [(*row[:2], *localised([row[2:]], say)[0]) for row in rows]
+    methods = told_table("checked.methods", rows, say, caption="", names=2)
     labels = Remarks(tuple(_label(judged, say) for judged in check.judged))
     untested = say("checked.untested") if check.block.global_test[1] == "none" else ""
     intro = Paragraph(say("checked.intro", sign=say("shown.sign"), untested=untested))
@@ -232,7 +216,7 @@ def sections(
     points = [piece for judged in check.judged for piece in _points(judged, say)]
     listed = [
         verdict_section(given or block_verdict(check, found), say),
-        Section("", (intro, table("", say("checked.heads").split("|"), cells), labels)),
+        Section("", (intro, methods, labels)),
         Section(say("checked.classes"), tuple(_standards(check, say))),
     ]
     if details:
@@ -271,8 +255,7 @@ def _errors(check: BlockCheck, say: Catalogue) -> list[Piece]:
             for tested in check.systematic.tested
         ]
         note = "\n".join(check.systematic.untested)
-        heads = say("checked.freed_heads").split("|")
-        pieces.append(table(say("checked.freed"), heads, localised(rows, say), note))
+        pieces.append(told_table("checked.freed", rows, say, note=note))
         free = check.systematic.free_in_block
         left = [f"{estimate_text(e)}, {_significant(e.significant, say)}" for e in free]
         pieces += [Paragraph("\n".join([say("checked.left"), *left]))] if left else []
@@ -323,8 +306,7 @@ def _points(judged: Judged, say: Catalogue) -> list[Piece]:
             for name, d, s, w in zip(group.names, group.d, group.product_sigma, group.w, strict=True)
         ]
         title = say("checked.points_title", method=method, role=say(f"shown.{group.role}"))
-        cells = [(row[0], *localised([row[1:]], say)[0]) for row in rows]
-        pieces.append(table(title, say("checked.points_heads").split("|"), cells, note))
+        pieces.append(told_table("checked.points", rows, say, caption=title, note=note, names=1))
     return pieces
 
 

@@ -4,24 +4,23 @@ Support of a network: which points, tapes and held station determine it how well
 """
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from photocal.accuracy.output import localised
+from photocal.accuracy.output import told_table
 from photocal.accuracy.variance_analysis import (
     VarianceEffect,
-    analyse_variance,
+    analyse_rmse,
     variance_record,
     variance_tables,
 )
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.block.model import Block
-from photocal.findings.document import TablePart, table
+from photocal.findings.document import TablePart
 from photocal.findings.texts import Catalogue
 from photocal.georeferencing.comparison import differences, exposure_difference
 from photocal.georeferencing.methods import of_method
@@ -125,24 +124,17 @@ def prior_variance(runs: tuple[PriorRun, ...]) -> dict[str, tuple[VarianceEffect
         "position": [f"{run.position_m:g}" for run in good],
         "attitude": [f"{run.attitude_rad:g}" for run in good],
     }
-    rmse = np.array([run.check_rmse for run in good]).reshape(-1, 3)
-    found = {}
-    for name, values in (("plane", np.hypot(rmse[:, 0], rmse[:, 1])), ("Z", rmse[:, 2])):
-        with suppress(ConfigurationError):
-            found[name] = analyse_variance(factors, values)
-    return found
+    return analyse_rmse(factors, np.array([run.check_rmse for run in good]).reshape(-1, 3))
 
 
 def prior_tables(runs: tuple[PriorRun, ...], say: Catalogue) -> list[TablePart]:
     """Write what is stated beside what comes out."""
-    heads = say("experiment.prior_heads").split("|")
     rows = []
     for run in runs:
         turned = (*run.sigma[3:], *np.degrees(run.sigma[:3]), *run.check_rmse, *run.check_sigma)
         cells = ("" if np.isnan(v) else f"{v:.4f}" for v in (*turned, run.variance_factor))
         rows.append((f"{run.position_m:g}", f"{np.degrees(run.attitude_rad):g}", *cells, run.failure))
-    made = table(say("experiment.prior"), heads, localised(rows, say))
-    return [made, *variance_tables(prior_variance(runs), say)]
+    return [told_table("experiment.prior", rows, say), *variance_tables(prior_variance(runs), say)]
 
 
 def prior_rows(runs: tuple[PriorRun, ...]) -> list[dict[str, Any]]:
@@ -316,13 +308,12 @@ def _mean_length(vectors: Floats) -> float:
 
 def support_table(runs: tuple[SupportRun, ...], say: Catalogue) -> TablePart:
     """Write the accuracy at check points beside the inner precision: they need not go together."""
-    heads = say("experiment.support_heads").split("|")
     rows = []
     for run in runs:
         lengths = (run.control_m, run.check_m, *run.sigma_m, run.mean_sigma_m)
         cells = ("" if np.isnan(value) else f"{1e3 * value:.2f}" for value in lengths)
         rows.append((run.name, str(run.control), str(run.distances), run.held, *cells, run.failure))
-    return table(say("experiment.support"), heads, localised(rows, say))
+    return told_table("experiment.support", rows, say)
 
 
 def support_rows(runs: tuple[SupportRun, ...]) -> list[dict[str, Any]]:

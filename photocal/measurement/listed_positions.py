@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.mrk import COLUMNS
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.geodesy import enu_offsets
+from photocal.base.time_scales import WEEK_S
 from photocal.findings.finding import Finding, Severity
 
 # No aircraft that carries a camera for survey flies faster over ground, m/s.
@@ -36,6 +38,19 @@ class ListedPositions:
     place: Floats
     sigma_m: Floats
     number: Integers
+
+
+def listed_events(events: Floats, lines: Sequence[str]) -> ListedPositions:
+    """Take the positions out of an event list.
+
+    events (n, 13): columns as of `drivers.mrk`.
+    """
+    column = dict(zip(COLUMNS, events.T, strict=True))
+    place = [column[key] for key in ("latitude_deg", "longitude_deg", "height_m")]
+    sigma = [column[key] for key in ("sigma_east_m", "sigma_north_m", "sigma_up_m")]
+    seconds = column["week"] * WEEK_S + column["seconds_of_week_s"]
+    number = column["number"].astype(np.int64)
+    return ListedPositions(tuple(lines), seconds, np.array(place).T, np.array(sigma).T, number)
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.mrk import COLUMNS, parse_event
+from drivers.mrk import parse_event
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError, PhotocalError
 from photocal.base.geodesy import enu_axes, enu_offsets, geocentric, geodetic
 from photocal.base.text_tables import read_under
-from photocal.base.time_scales import WEEK_S
 from photocal.exchange.ground_points import read_geo
 from photocal.exchange.reference_table import read_references
 from photocal.exchange.source import read_text
@@ -30,7 +29,7 @@ from photocal.geometry.realizations import (
     realization,
 )
 from photocal.measurement.image_facts import ImageFacts
-from photocal.measurement.listed_positions import ListedPositions, judge_listed
+from photocal.measurement.listed_positions import ListedPositions, judge_listed, listed_events
 
 Given = Callable[[ImageFacts], ImageFacts]
 # Heads of the columns of places as people write them; the last ones of X and Y are of degrees.
@@ -219,26 +218,19 @@ def _apart_m(facts: ImageFacts, latitude: float, longitude: float) -> float:
 
 
 def _of_events(path: Path, names: Sequence[str]) -> dict[str, _Place]:
-    events = [dict(zip(COLUMNS, row, strict=True)) for line in read_text(path).splitlines()
-              if (row := parse_event(line)) is not None]  # fmt: skip
+    events = [row for row in map(parse_event, read_text(path).splitlines()) if row is not None]
     if not events:
         raise InputMalformedError("has no events", "is it a Timestamp.MRK file?", where=path)
-    table = np.array([tuple(event.values()) for event in events])
-    keys_at = {key: k for k, key in enumerate(COLUMNS)}
-    seconds = table[:, keys_at["week"]] * WEEK_S + table[:, keys_at["seconds_of_week_s"]]
-    place = table[:, [keys_at[key] for key in ("latitude_deg", "longitude_deg", "height_m")]]
-    sigma = table[:, [keys_at[key] for key in ("sigma_east_m", "sigma_north_m", "sigma_up_m")]]
-    count = table[:, keys_at["number"]].astype(np.int64)
-    lines = tuple(f"event {number}" for number in count.tolist())
-    _require_credible(ListedPositions(lines, seconds, place, sigma, count), path)
-    numbers = {int(event["number"]): event for event in events}
+    listed = listed_events(np.array(events), [f"event {int(event[0])}" for event in events])
+    _require_credible(listed, path)
+    places = [tuple(row) for row in np.hstack([listed.place[:, [1, 0, 2]], listed.sigma_m]).tolist()]
+    numbers = dict(zip(listed.number.tolist(), places, strict=True))
     # Cameras count with numbers of four digits.
     counts = {name: map(int, re.findall(r"(?<!\d)\d{4}(?!\d)", Path(name).stem)) for name in names}
-    by_name = {name: numbers.get(k) for name in names for k in counts[name] if k in numbers}
-    if not by_name and len(names) == len(events):
-        by_name = dict(zip(sorted(names), events, strict=True))
-    keys = ("longitude_deg", "latitude_deg", "height_m", "sigma_east_m", "sigma_north_m", "sigma_up_m")
-    return {name: tuple(event[key] for key in keys) for name, event in by_name.items() if event is not None}
+    by_name = {name: numbers[k] for name in names for k in counts[name] if k in numbers}
+    if not by_name and len(names) == len(places):
+        by_name = dict(zip(sorted(names), places, strict=True))
+    return by_name
 
 
 def _in_degrees(crs: str, listed: Mapping[str, tuple[float, ...]], path: Path) -> dict[str, _Place]:

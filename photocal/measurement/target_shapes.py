@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from photocal.base.arrays import Flags
-from photocal.base.errors import ConfigurationError, OutputError
+from photocal.base.errors import ConfigurationError
+from photocal.findings.document import typeset
 from photocal.measurement.markers import DICTIONARIES, Board, charuco_board, dictionary
 from photocal.measurement.target_centre import BAR, HOLE
 
@@ -26,7 +27,7 @@ PAPERS_MM = {
 # What printers leave white, and the strip at the foot with the bar and the words.
 EDGE_MM, FOOT_MM = 6.0, 22.0
 # The sheets do not depend on the day.
-_DATE = dt.datetime(2000, 1, 1, tzinfo=dt.UTC)
+_DATE = dt.date(2000, 1, 1)
 
 
 @dataclass(frozen=True)
@@ -156,20 +157,11 @@ def sheets_pdf(sheets: Sequence[Sheet], paper: str) -> bytes:
     raises ConfigurationError: when a target does not fit, or the paper is not known.
     raises OutputError.
     """
-    import typst
-
     if paper.lower() not in PAPERS_MM:
         raise ConfigurationError(f"paper {paper!r} is not known", f"use {', '.join(PAPERS_MM)}")
     source = "\n#pagebreak()\n".join(_page(sheet, paper.lower()) for sheet in sheets)
     head = '#set text(font: "Libertinus Serif", size: 9pt)\n#set page(margin: 0mm)\n'
-    compiler = typst.Compiler(font_paths=typst.Fonts(include_system_fonts=False))
-    try:
-        made = compiler.compile((head + source).encode(), format="pdf", timestamp=_DATE)
-    except typst.TypstError as refusal:
-        raise OutputError(f"the PDF could not be typeset ({refusal})", "report this") from None
-    if not isinstance(made, bytes):
-        raise OutputError("the PDF could not be typeset (no single file)", "report this")
-    return made
+    return typeset((head + source).encode(), _DATE)
 
 
 def _page(sheet: Sheet, paper: str) -> str:

@@ -16,10 +16,10 @@ from drivers.mrk import parse_event
 from drivers.receiver import BASE_RECEIVER, BASE_UTC, TIME_BASES, TimeMarks
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError, reading
-from photocal.base.time_scales import SECOND_NS, WEEK_S
+from photocal.base.time_scales import SECOND_NS
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_text, plain
-from photocal.measurement.listed_positions import ListedPositions, judge_listed
+from photocal.measurement.listed_positions import judge_listed, listed_events
 from photocal.navigation.device_clocks import ComparedClocks
 from photocal.navigation.flight_log import EXPOSURES, FlightLog
 from photocal.navigation.time import GpsTime, UtcTime, refuse_expired
@@ -294,13 +294,7 @@ def _listed(name: str, lines: list[str], path: object) -> CameraEventList:
     if not rows:
         raise InputMalformedError("has no events", "check the flight's folder", where=path)
     t = np.array(rows)
-    listed = ListedPositions(
-        tuple(lines_of),
-        t[:, 2] * WEEK_S + t[:, 1],
-        t[:, 6:9],
-        t[:, [10, 9, 11]],
-        t[:, 0].astype(np.int64),
-    )
+    listed = listed_events(t, lines_of)
     judged = judge_listed(listed)
     if not judged.placed.any():
         raise InputMalformedError(
@@ -310,13 +304,13 @@ def _listed(name: str, lines: list[str], path: object) -> CameraEventList:
         )
     rows_kept = np.flatnonzero(judged.kept)
     order = rows_kept[np.argsort(listed.time_s[rows_kept], kind="stable")]
-    t, placed, sigma_known = t[order], judged.placed[order, None], judged.sigma_known[order, None]
-    count = t[:, 0].astype(np.int64)
+    t, count = t[order], listed.number[order]
     time = GpsTime.from_week(t[:, 2].astype(np.int64), t[:, 1])
     events = Events(name, time, count, np.zeros(len(t)), counter_jumps(count, "events"))
     status = [_STATUS.get(int(q), "single") for q in t[:, 12]]
     # What cannot be believed is not known.
-    place, sigma = np.where(placed, t[:, 6:9], np.nan), np.where(sigma_known, t[:, [10, 9, 11]], np.nan)
+    place = np.where(judged.placed[:, None], listed.place, np.nan)[order]
+    sigma = np.where(judged.sigma_known[:, None], listed.sigma_m, np.nan)[order]
     return CameraEventList(
         events,
         np.stack([t[:, 4], t[:, 3], -t[:, 5]], axis=1) * 1e-3,

@@ -11,6 +11,7 @@ from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_picture, write_rows
 from photocal.base.geodesy import GeodeticPlace, enu_axes, enu_offsets
 from photocal.block.model import Block, Images
+from photocal.geometry.rotation import turned_left
 from photocal.navigation.exposure_run import ExposureRun
 from photocal.navigation.exposure_sources import ELLIPSOIDAL
 from photocal.navigation.exposures import Exposures, names_cell, orientations, orientations_in_frame
@@ -204,10 +205,8 @@ def projected(lat: Floats, lon: Floats, height: Floats, crs: str) -> tuple[Float
             "name a system that covers the place, with its geoid grid installed",
             where=crs,
         ) from refusal
-    convergence = np.arctan2(east_n - east, north_n - north)
-    s, c, zeros, ones = np.sin(convergence), np.cos(convergence), np.zeros_like(lat), np.ones_like(lat)
-    turn = np.array([[c, s, zeros], [-s, c, zeros], [zeros, zeros, ones]])
-    return np.stack([east, north, up], axis=1), np.moveaxis(turn, -1, 0)
+    turn = turned_left(np.arctan2(east_n - east, north_n - north))
+    return np.stack([east, north, up], axis=1), turn
 
 
 def write_geo_txt(path: Path, exposures: Exposures, rig: CameraOnBody) -> str:

@@ -24,7 +24,7 @@ from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observation
 from photocal.findings.document import Paragraph, Section, table, text
 from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.camera import Camera
-from photocal.geometry.rotation import angles_from_matrix
+from photocal.geometry.rotation import angles_from_matrix, turned_left
 from photocal.planning.frame import PlanningCamera
 from photocal.planning.simulated_adjustment import SELF_CALIBRATION, planned_camera, visible_rays
 from photocal.results.adjusted import adjust_network
@@ -281,8 +281,7 @@ def _looking(place: Floats, target: Floats, roll: float) -> Floats:
     # Straight down the top of the photo is north.
     right = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(right) < 1e-9 else right / np.linalg.norm(right)
     upright = np.stack([right, np.cross(back, right), back])
-    c, s = np.cos(roll), np.sin(roll)
-    return np.asarray(np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ upright)
+    return np.asarray(turned_left(roll) @ upright)
 
 
 def _held(held: str, names: tuple[str, ...], path: Path) -> Floats:

@@ -7,6 +7,7 @@ import csv
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Literal
 
@@ -241,16 +242,11 @@ def _responsible(c: Context) -> Filled:
     return _given(", ".join(part for part in (r.name, r.title, r.registration) if part))
 
 
+# The rows that are not one of the particulars as it was given.
 FILLERS: dict[str, Callable[[Context], Filled]] = {
     "verdict": _verdict,
     "responsibility": lambda c: (c.say("ministry.responsibility"), "fixed"),
     "sensor_systems": lambda c: (c.facts.camera_id, "computed"),
-    "camera_model": lambda c: _given(c.particulars.camera.model),
-    "camera_manufacturer": lambda c: _given(c.particulars.camera.manufacturer),
-    "camera_serial": lambda c: _given(c.particulars.camera.serial),
-    "lens_type": lambda c: _given(c.particulars.camera.lens_type),
-    "lens_serial": lambda c: _given(c.particulars.camera.lens_serial),
-    "sensor_type": lambda c: _given(c.particulars.camera.sensor_type),
     "sensor_dimension": _sensor_dimension,
     "effective_pixels": _pixels,
     "pixel_size": lambda c: _number(c.facts.pixel_mm, 4, "computed" if c.camera.unit == "mm" else "given", c),
@@ -259,15 +255,12 @@ FILLERS: dict[str, Callable[[Context], Filled]] = {
     "image_size_x": _image_side(0),
     "image_size_y": _image_side(1),
     "corner_table": lambda c: (c.say("ministry.corners"), "computed"),
-    "gnss_ins": lambda c: _given(c.particulars.gnss_ins.receiver),
     "rtk_advice": _rtk,
-    "gnss_ins_description": lambda c: _given(c.particulars.gnss_ins.description),
     "lever_arm": _mounting("lever_arm", "cm", 100.0, "XYZ"),
     "boresight": _mounting("boresight", "deg", 1.0, "ωφκ"),
     "calibration": lambda c: (c.say("ministry.calibration"), "computed"),
     "method": _method,
     "test_field": _test_field,
-    "platform": lambda c: _given(c.particulars.campaign.platform),
     "photos": lambda c: (str(len(c.run.result.images)), "computed"),
     "flying_height": lambda c: _of_flight(c.facts.height_m, "height", 4, c),
     "gsd": lambda c: _of_flight(c.facts.gsd_cm, "gsd", 3, c),
@@ -285,7 +278,6 @@ FILLERS: dict[str, Callable[[Context], Filled]] = {
     "planimetric_rmse": _limit("planimetric"),
     "altimetric_rmse": _limit("altimetric"),
     "eo_quality": _eo_quality,
-    "comments": lambda c: _given(c.particulars.document.comments),
     "references": lambda c: (
         "; ".join([c.say("ministry.references"), *c.particulars.document.references]),
         "fixed",
@@ -308,8 +300,8 @@ def corners(c: Context) -> tuple[tuple[str, ...], ...]:
     return tuple(rows)
 
 
-# A row of the form: where it stands (section, item), its key, what it is called in each language, its unit;
-# filled in also its value, and the origin of that.
+# A row of the form: where it stands (section, item), its key, what it is called in each language, its unit,
+# and which of the particulars it repeats, if it does; filled in also its value, and the origin of that.
 FormRow = Mapping[str, str]
 
 
@@ -322,8 +314,12 @@ def read_layout() -> tuple[FormRow, ...]:
 def entries(layout: tuple[FormRow, ...], context: Context) -> tuple[FormRow, ...]:
     """Fill every row."""
     missing: tuple[str, Origin] = context.say("ministry.not_determined"), "not_determined"
-    filled = ((row, *(FILLERS[row["key"]](context) or missing)) for row in layout)
+    filled = ((row, *(_filled(row, context) or missing)) for row in layout)
     return tuple({**row, "value": value, "origin": origin} for row, value, origin in filled)
+
+
+def _filled(row: FormRow, c: Context) -> Filled:
+    return _given(attrgetter(row["given"])(c.particulars)) if row["given"] else FILLERS[row["key"]](c)
 
 
 # Sheets by what they are for; their words stand in the catalogue under forms.NAME, lines with bars between.

@@ -3,6 +3,7 @@
 import math
 from typing import get_args
 
+from photocal.base.arrays import picked
 from photocal.findings.digits import decimals_of
 from photocal.findings.document import (
     Column,
@@ -52,15 +53,10 @@ def laboratory(title: str, particulars: Metadata, number: str, say: Catalogue) -
         "measured": say.date(lab.measured) if lab.measured else "",
         "issued": say.date(particulars.date),
         **{key: "" if v is None else f"{say.as_given(v)} {unit}" for key, (v, unit) in air.items()},
-        "focus": conditions.focus,
-        "aperture": conditions.aperture,
-        "stabilisation": conditions.stabilisation,
-        "firmware": conditions.firmware,
+        **picked(conditions, "focus", "aperture", "stabilisation", "firmware"),
         "correction": conditions.in_camera_correction,
         **_told_by_pictures(conditions),
-        "traceability": lab.traceability,
-        "deviations": lab.deviations,
-        "external": lab.external,
+        **picked(lab, "traceability", "deviations", "external"),
         "decision_rule": lab.decision_rule or say("laboratory.rule"),
         "authorised": particulars.responsible.name,
     }

@@ -32,6 +32,7 @@ from photocal.block.setup import MountingKeys
 from photocal.exchange.foreign_project import ForeignProject, free_nonzero_parameters, never_estimated
 from photocal.exchange.formats import read_foreign_project
 from photocal.exchange.quality_report import QualityReport, report_of
+from photocal.geometry.camera import held_camera
 from photocal.measurement.measurement_record import SCHEMA as MEASURED
 from photocal.measurement.measurement_record import MeasuredBlock
 from photocal.results.adjusted import (
@@ -267,16 +268,8 @@ def _held(foreign: ForeignProject, refusal: PhotocalError) -> ForeignProject:
     """Hold the cameras where the block does not determine what the program's camera has."""
     if not any(camera.estimated.any() for camera in foreign.block.cameras):
         raise refusal
-    cameras = tuple(
-        replace(
-            camera,
-            estimated=np.zeros_like(camera.estimated),
-            prior_sigma=np.full_like(camera.values, np.inf),
-        )
-        for camera in foreign.block.cameras
-    )
     remark = f"the cameras are held as the program has them: {refusal.what}"
-    block = replace(foreign.block, cameras=cameras)
+    block = replace(foreign.block, cameras=tuple(map(held_camera, foreign.block.cameras)))
     return replace(foreign, block=block, remarks=(*foreign.remarks, remark))
 
 

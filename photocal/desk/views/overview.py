@@ -22,7 +22,7 @@ from photocal.desk.views.shown import Shown, numbers
 from photocal.findings.finding import Finding
 from photocal.findings.texts import PARAMETERS as PARAMETER_FIGURES
 from photocal.findings.texts import Catalogue, plain, remedy_text, sentence
-from photocal.findings.verdict import VerdictLine, every_line, headline, line_text
+from photocal.findings.verdict import VerdictLine, alike_findings, every_line, headline, line_text
 from photocal.geometry.camera import PARAMETERS
 from photocal.navigation.exposures import Exposures
 from photocal.planning.flown import BORDER, GroundCells, cells_seen, level_ground
@@ -251,20 +251,12 @@ def findings(shown: Shown, say: Catalogue) -> dict[str, Any]:
     found = project_findings(shown.work)
     verdict = project_verdict(shown.work)
     lines = every_line(found, len(shown.images))
-    alike = _of_lines(found)
+    alike = alike_findings(found)
     return {
         "paragraph": "" if verdict is None else headline(verdict, say),
         "outcome": None if verdict is None else verdict.outcome.code,
         "lines": [_line(line, alike, shown, say) for line in lines],
     }
-
-
-def _of_lines(found: Iterable[Finding]) -> Mapping[tuple[str, str], list[Finding]]:
-    """Findings of one code and cause, as they are one line where they are many."""
-    groups: dict[tuple[str, str], list[Finding]] = {}
-    for finding in found:
-        groups.setdefault((finding.code, finding.cause), []).append(finding)
-    return groups
 
 
 def _line(

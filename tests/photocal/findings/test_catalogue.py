@@ -34,6 +34,7 @@ def test_every_text_is_used() -> None:
     source = "".join(p.read_text(encoding="utf-8") for p in Path(photocal.__file__).parent.rglob("*.py"))
     used = set(re.findall(r'["\x27]([a-z0-9_]+\.[a-zA-Z0-9_.]+)["\x27]', source))
     made = {m.split("{")[0] for m in re.findall(r'f"([a-z0-9_]+\.[^"]*\{[^"]*)"', source)}
+    used |= {f"{key}_heads" for key in re.findall(r'told_table\(\s*"([a-z_.]+)"', source)}
     # Heads of tables are data: `columns(say, "section", "key<", "key [unit]")`, and those of `said_table`.
     tables = set(re.findall(r'(?:columns|said_table)\(\s*say, "(\w+)', source))
     heads = set(re.findall(r'"([a-z0-9_]+)[<=]?(?: \[[^"]*\])?"', source))
