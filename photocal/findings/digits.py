@@ -113,3 +113,12 @@ class Number:
         if not form or form[0] == "s":
             return significant(self.value, int(form[1:] or 4), self.mark)
         return format(self.value, form).replace("-", MINUS).replace(".", self.mark)
+
+
+class Count(int):
+    """A count that a text formats itself: with "mark|marks" it is "1 mark", and "0 marks" or "2 marks"."""
+
+    def __format__(self, form: str) -> str:
+        """Write it."""
+        one, both, many = form.partition("|")
+        return f"{int(self)} {one if self == 1 else many}" if both else format(int(self), form)

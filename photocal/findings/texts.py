@@ -17,7 +17,7 @@ from photocal.base.codec import from_plain
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.extensions import HYPOTHESES, brought
-from photocal.findings.digits import MINUS, Number, as_given, fixed, measured, significant, symbol
+from photocal.findings.digits import MINUS, Count, Number, as_given, fixed, measured, significant, symbol
 from photocal.findings.finding import Finding
 
 LANGUAGES = ("en", "pt-BR")
@@ -45,7 +45,8 @@ class Catalogue:
 
     def __call__(self, key: str, **values: object) -> str:
         """Give one text with its values put in."""
-        return self.messages[key].format(**values)
+        counts = {name: Count(value) for name, value in values.items() if type(value) is int}
+        return self.messages[key].format(**(values | counts))
 
     def told(self, key: str, **values: object) -> str:
         """Give one text for a terminal: decimals with the mark of the language, and a plain minus sign."""

@@ -93,9 +93,8 @@ def interior_orientation(title: str, camera_id: str, run: AnalysedRun, say: Cata
         beside = {"scaled": (factor or 1.0) * sigma, **opinions.get(name, dict.fromkeys(OPINIONS))}
         largest = run.stated(camera_id, name)[0]
         rows.append(_iop_row(name, camera, critical, largest, [beside[key] for key in further], say))
-    note = say("iop.note", critical=say.fixed(critical, 2))
-    if told:
-        note += "".join(f" {say(f'iop.note_{whose}')}" for whose in told) + f" {say('iop.differs')}"
+    notes = [say("iop.note", critical=say.fixed(critical, 2)), *(say(f"iop.note_{whose}") for whose in told)]
+    note = " ".join([*notes, say("iop.differs")] if told else notes)
     pieces: list[Piece] = [said_table(say, "iop.table", heads, rows, note)]
     weak = [symbol(name) for name in insignificant(camera_id, run)]
     if weak:

@@ -107,7 +107,7 @@ def test_a_new_project_names_it_and_goes_on(tmp_path: Path) -> None:
     picture(tmp_path, "á =cmd|x!A1.png".encode())
     made = new_project(tmp_path)
     assert any("not in UTF-8" in line for line in made.missing)
-    assert any("1 pictures" in line for line in made.known)
+    assert any("1 picture" in line for line in made.known)
 
 
 def test_names_that_no_text_can_hold_are_refused_in_json(tmp_path: Path) -> None:
