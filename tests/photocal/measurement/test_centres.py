@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from scipy import stats
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.measurement.markers import quadrilateral_centre
+from photocal.measurement.markers import on_bent_edges, quadrilateral_centre
 from photocal.measurement.target_centre import Centre, flattened, ground_bend
 from photocal.measurement.target_search import cross_centre, round_centre, saddle_centre
 
@@ -215,3 +216,44 @@ def test_a_window_beyond_the_edge_gives_nothing() -> None:
     grey = np.zeros((40, 40), dtype=np.uint8)
     assert saddle_centre(grey, (3.0, 20.0), 8.0) is None
     assert saddle_centre(grey, (float("nan"), 20.0), 8.0) is None
+
+
+@pytest.mark.parametrize("k1", [-0.15, 0.1])
+def test_corners_of_edges_that_the_lens_bends_lie_where_opencv_projects_them(k1: float) -> None:
+    """A line fitted to an edge of 100 px, bent by 0.1 px and more, passes its ends: all to one side."""
+    c, size, side = 1500.0, (1600, 1200), 144
+    matrix = np.array([[c, 0, 799.5], [0, c, 599.5], [0, 0, 1.0]])
+    lens = np.array([k1, 0, 0, 0, 0])
+    own = camera("c", "brown-ideal", "px", size, (1.0, 1.0), {"c": c, "K1": k1 / c**2})
+    square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    rng = np.random.default_rng(4)
+    straight, bent, radial = [], [], []
+    for middle in ([1300, 300], [250, 250], [1400, 700], [800, 1050], [300, 900], [1200, 1000]):
+        turn = cv2.Rodrigues(rng.normal(0, 0.15, 3))[0]
+        ideal = cv2.undistortPoints(np.array([[middle]], dtype=float), matrix, lens).ravel()
+        place = np.array([*ideal, 1.0]) * 2 * c / 100
+        true = cv2.projectPoints(square @ turn.T + place, np.zeros(3), np.zeros(3), matrix, lens)[0].reshape(
+            4, 2
+        )
+        corner = np.round(true.mean(axis=0)) - side // 2
+        plane = np.linalg.inv(np.column_stack([turn[:, 0], turn[:, 1], place]))
+
+        def scene(x: Floats, y: Floats, corner: Floats = corner, plane: Floats = plane) -> Floats:
+            seen = np.stack([x.ravel(), y.ravel()], axis=-1) + corner
+            rays = cv2.undistortPoints(seen[:, None], matrix, lens).reshape(-1, 2)
+            u, v, w = plane @ np.vstack([rays.T, np.ones(len(rays))])
+            return np.where(np.maximum(abs(u / w), abs(v / w)) < 1, DARK, LIGHT).reshape(x.shape)
+
+        grey = render(scene, np.eye(3), side, rng, noise=0.005)
+        found = quadrilateral_centre(grey, true - corner + 0.4, 12.0)
+        assert found is not None
+        corners = found[1] + corner
+        straight.append(corners - true)
+        bent.append(on_bent_edges(own, corners[None])[0] - true)
+        away = true - matrix[:2, 2]
+        radial.append(away / np.hypot(*away.T)[:, None])
+    before, after = (np.sum(np.array(e) * radial, axis=-1) for e in (straight, bent))
+    # Barrel distortion moves them outwards, pincushion distortion inwards.
+    assert -np.sign(k1) * before.mean() > 0.03
+    assert abs(after.mean()) < 0.1 * abs(before.mean())
+    assert np.sqrt(np.mean(np.square(bent))) < 0.5 * np.sqrt(np.mean(np.square(straight)))
