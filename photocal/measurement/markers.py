@@ -41,7 +41,7 @@ DICTIONARIES = (
     "aruco_mip_36h12",
 )
 # Raised whenever the meaning of cached results changes.
-VERSION = 4
+VERSION = 5
 # Plates are not flat and lenses not modelled to the last: what the grey values cannot know, px.
 COMMON_PX = 0.02
 
@@ -173,8 +173,12 @@ def find_markers(grey: Grey, dictionary_name: str) -> tuple[Marker, ...]:
     worst_misfit = 0.2
     for identity, quadrilateral in zip(np.ravel(identities), corners, strict=True):
         rough = np.asarray(quadrilateral, dtype=float).reshape(4, 2)
-        side = float(np.hypot(*(np.roll(rough, -1, axis=0) - rough).T).min())
-        measured = quadrilateral_centre(grey, rough, side / cells)
+        # Cells are as wide across an edge as the code's border; along the edge perspective shows them longer.
+        along = np.roll(rough, -1, axis=0) - rough
+        before = np.roll(along, 1, axis=0)
+        area = np.abs(before[:, 0] * along[:, 1] - before[:, 1] * along[:, 0])
+        across = np.minimum(area, np.roll(area, -1)) / np.hypot(*along.T)
+        measured = quadrilateral_centre(grey, rough, float(across.min()) / cells)
         if measured is None:
             continue
         centre, refined = measured
