@@ -14,6 +14,8 @@ from photocal.base.arrays import Bytes, Floats, Integers
 from photocal.base.errors import ConfigurationError
 from photocal.base.workers import Workers, run_tasks
 from photocal.exchange.parts import Mark
+from photocal.geometry.camera import Camera, pixel_to_plane, plane_to_pixel
+from photocal.geometry.distortion import distorted, undistorted
 from photocal.measurement import target_centre
 from photocal.measurement.features import Arrays, cached, combined_key
 from photocal.measurement.image_file import Grey, as_eight_bit, read_grey
@@ -39,7 +41,7 @@ DICTIONARIES = (
     "aruco_mip_36h12",
 )
 # Raised whenever the meaning of cached results changes.
-VERSION = 4
+VERSION = 5
 # Plates are not flat and lenses not modelled to the last: what the grey values cannot know, px.
 COMMON_PX = 0.02
 
@@ -88,9 +90,36 @@ def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Cent
 
 def _corners(p: Floats) -> Floats:
     lines = np.array([[np.cos(p[2 * k]), np.sin(p[2 * k]), p[2 * k + 1]] for k in range(4)])
-    # Edge k runs from corner k to corner k + 1.
-    meeting = np.cross(np.roll(lines, 1, axis=0), lines)
-    return np.asarray(meeting[:, :2] / meeting[:, 2:])
+    return _meeting(lines)
+
+
+def _meeting(lines: Floats) -> Floats:
+    """Corners of quadrilaterals, (..., 4, 2): edge k runs from corner k to corner k + 1."""
+    meeting = np.cross(np.roll(lines, 1, axis=-2), lines)
+    return np.asarray(meeting[..., :2] / meeting[..., 2:])
+
+
+def on_bent_edges(lens: Camera, corners: Floats) -> Floats:
+    """Give the corners of quadrilaterals whose edges the lens bends, from those of straight edges fitted.
+
+    corners (n, 4, 2): columns and rows, px, as `quadrilateral_centre` measures them.
+    returns (n, 4, 2): where the ends of the bent edges are; as they were where the lens sees nothing.
+    """
+    # The line fitted to a flat arc by least squares meets it at the zeros of Legendre's second polynomial, at
+    # 1 / sqrt 3 of half its length, and so passes its ends by two thirds of the arc's height.
+    flat = undistorted(lens, pixel_to_plane(lens.size_px, lens.pitch, corners.reshape(-1, 2)))
+    start = flat.reshape(corners.shape)
+    along = np.roll(start, -1, axis=1) - start
+
+    def met(place: float) -> Floats:
+        """Where the lens shows the points at a part of the edges' lengths, homogeneous."""
+        arc = distorted(lens, (start + place * along).reshape(-1, 2))
+        pixels = plane_to_pixel(lens.size_px, lens.pitch, arc).reshape(corners.shape)
+        return np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1)
+
+    away = 0.5 / np.sqrt(3)
+    straight = _meeting(np.cross(met(0.5 - away), met(0.5 + away)))
+    return corners - np.nan_to_num(straight - corners)
 
 
 def _diagonals(p: Floats) -> Floats:
@@ -144,8 +173,12 @@ def find_markers(grey: Grey, dictionary_name: str) -> tuple[Marker, ...]:
     worst_misfit = 0.2
     for identity, quadrilateral in zip(np.ravel(identities), corners, strict=True):
         rough = np.asarray(quadrilateral, dtype=float).reshape(4, 2)
-        side = float(np.hypot(*(np.roll(rough, -1, axis=0) - rough).T).min())
-        measured = quadrilateral_centre(grey, rough, side / cells)
+        # Cells are as wide across an edge as the code's border; along the edge perspective shows them longer.
+        along = np.roll(rough, -1, axis=0) - rough
+        before = np.roll(along, 1, axis=0)
+        area = np.abs(before[:, 0] * along[:, 1] - before[:, 1] * along[:, 0])
+        across = np.minimum(area, np.roll(area, -1)) / np.hypot(*along.T)
+        measured = quadrilateral_centre(grey, rough, float(across.min()) / cells)
         if measured is None:
             continue
         centre, refined = measured

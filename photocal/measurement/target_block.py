@@ -24,7 +24,15 @@ from photocal.measurement.features import Arrays, cached, combined_key
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture, read_grey
 from photocal.measurement.maker_camera import group_cameras, principal_distance_px, start_camera
-from photocal.measurement.markers import COMMON_PX, VERSION, Board, dictionary, find_board, find_markers
+from photocal.measurement.markers import (
+    COMMON_PX,
+    VERSION,
+    Board,
+    dictionary,
+    find_board,
+    find_markers,
+    on_bent_edges,
+)
 from photocal.measurement.measurement_record import PIXEL_ORIGIN, SCHEMA, MeasuredBlock
 from photocal.measurement.position_files import Given
 
@@ -249,15 +257,28 @@ def without_gross_corners(block: Block) -> tuple[Block, list[dict[str, str]]]:
     """Leave out corners that a neighbour covers or a plate's edge shifts, by data snooping.
 
     The grey values tell how much surer the corner of a large target is; what they cannot know is not known
-    yet: Pope's tau goes by what the residuals tell.
+    yet: Pope's tau goes by what the residuals tell. Cameras and images start from its adjustment; corners,
+    measured with straight edges, four of a target in a row, come to where the lens bends the edges.
     """
     seen = block.observations
     assembly = assemble(replace(block, observations=replace(seen, sigma=np.hypot(seen.sigma, COMMON_PX))))
-    accepted = assembly.rays[snoop(assembly.network, "tau").accepted]
+    snooping = snoop(assembly.network, "tau")
+    accepted = assembly.rays[snooping.accepted]
     out = np.setdiff1d(np.arange(len(seen.image)), accepted)
     images, points = block.images.names, block.points.names
     names = [{"image": images[seen.image[row]], "point": points[seen.point[row]]} for row in out]
+    block = _started(block, snooping.solution)
+    values, member = seen.values.reshape(-1, 4, 2).copy(), block.images.camera[seen.image[::4]]
+    for k, lens in enumerate(block.cameras):
+        values[member == k] = on_bent_edges(lens, values[member == k])
+    seen = replace(seen, values=values.reshape(-1, 2))
     return replace(block, observations=seen.rows(np.sort(accepted))), names
+
+
+def _started(block: Block, solution: Solution) -> Block:
+    """The block, its cameras and images where an adjustment has them."""
+    cameras = tuple(camera.with_values(v) for camera, v in zip(block.cameras, solution.cameras, strict=True))
+    return replace(block, cameras=cameras, images=replace(block.images, values=solution.exposures))
 
 
 def with_common_sigma(block: Block) -> tuple[Block, dict[str, Any]]:
@@ -288,7 +309,5 @@ def with_common_sigma(block: Block) -> tuple[Block, dict[str, Any]]:
     factor = max(solution.variance_factor, 0.0)
     ratio = np.sqrt(factor * solution.camera_covariance[:, 0, 0]) / solution.cameras[:, 0]
     sigma = np.hypot(seen.sigma, common)
-    cameras = tuple(camera.with_values(v) for camera, v in zip(block.cameras, solution.cameras, strict=True))
-    images = replace(block.images, values=solution.exposures)
-    block = replace(block, cameras=cameras, images=images, observations=replace(seen, sigma=sigma))
+    block = _started(replace(block, observations=replace(seen, sigma=sigma)), solution)
     return block, {"common_sigma_px": common, "principal_distance_sigma_ratio": ratio.tolist()}

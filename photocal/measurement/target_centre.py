@@ -192,6 +192,8 @@ def _jacobian(window: Window, template: Template, parameters: Floats, sizes: Flo
 FLAT = np.zeros((2, 2, 2))
 # The bars of a cross are a fifth as wide as long, a ring's hole is half as wide.
 BAR, HOLE = 1 / 5, 1 / 2
+# An edge without blur has no slope to fit.
+FINEST_BLUR_PX = 0.15
 
 
 def saddle(p: Floats, x: Floats, y: Floats) -> Floats:
@@ -235,10 +237,18 @@ def inside_circle(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Float
 
 def quadrilateral(p: Floats, x: Floats, y: Floats) -> Floats:
     """Dark quadrilateral on a light ground."""
-    inside = np.ones_like(x)
+    blur = np.maximum(np.abs(p[8]), FINEST_BLUR_PX)
+    angle = [p[k] for k in (0, 2, 4, 6)]
+    away = [(x * np.cos(a) + y * np.sin(a) + p[2 * k + 1]) / blur for k, a in enumerate(angle)]
+    inside = np.prod([0.5 * (1 + erf(a / np.sqrt(2))) for a in away], axis=0)
+    slope = [np.exp(-(a**2) / 2) / np.sqrt(2 * np.pi) for a in away]
+    # A blurred corner is the integral of a bivariate normal density whose correlation is the cosine between
+    # its edges' normals: the product of the edges, and the first terms of Mehler's series. The product alone
+    # is right for right angles; by it acute corners are measured too far in, obtuse ones too far out.
     for k in range(4):
-        angle, distance = p[2 * k], p[2 * k + 1]
-        inside = inside * 0.5 * (1 + _edge(x * np.cos(angle) + y * np.sin(angle) + distance, p[8]))
+        a, b, r = away[k - 1], away[k], np.cos(angle[k] - angle[k - 1])
+        series = r + r**2 / 2 * a * b + r**3 / 6 * (a**2 - 1) * (b**2 - 1)
+        inside = inside + series * slope[k - 1] * slope[k]
     return np.asarray(p[9] + p[10] * inside)
 
 
@@ -257,9 +267,7 @@ def _beside(p: Floats, angle: float, x: Floats, y: Floats) -> Floats:
 
 
 def _edge(distance: Floats, blur: Floats | float) -> Floats:
-    # An edge without blur has no slope to fit.
-    finest_blur_px = 0.15
-    return np.asarray(erf(distance / (np.sqrt(2) * np.maximum(np.abs(blur), finest_blur_px))))
+    return np.asarray(erf(distance / (np.sqrt(2) * np.maximum(np.abs(blur), FINEST_BLUR_PX))))
 
 
 def _bar(distance: Floats, width: float, blur: float) -> Floats:

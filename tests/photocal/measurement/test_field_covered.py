@@ -49,11 +49,15 @@ def measured(
     assert said.code == 0, said.err
     record = json.loads((folder / "block" / "measurement.json").read_text(encoding="utf-8"))
     own = read_result(folder / "run").cameras["camera"]
+    under = {(f"lab{k:02d}.png", str(code)) for k, codes in COVERED.items() for code in codes}
     head, *rows = (folder / "block" / "observations.csv").read_text(encoding="utf-8").splitlines()
     assert head == "image,point,x,y,sx,sy"
+    cells = [row.split(",") for row in rows]
+    clear = [float(row[4]) for row in cells if (row[0], row[1].split(".")[0]) not in under]
     return Field(
         record["common_sigma_px"],
-        float(np.sqrt(np.mean([float(row.split(",")[4]) ** 2 for row in rows]))),
+        # Of targets without a plate: what a plate covers in part is rightly less sure itself.
+        float(np.sqrt(np.mean(np.square(clear)))),
         own.value("c"),
         own.sigma_of("c"),
         {(one["image"], one["point"]) for one in record["rejected"]},
