@@ -25,8 +25,11 @@ export function flatMap(target, layers, choose = () => {}) {
     source: new ol.source.Vector({ features: [new ol.Feature(new ol.geom.LineString(layer.places.map((place) => ol.proj.fromLonLat(place.at))))] }),
     style: new ol.style.Style({ stroke: new ol.style.Stroke({ color: layer.colour, width: 1.5, lineDash: layer.dash }) }),
   }));
+  // The mouse drags at once; the wheel moves the page until the map has the focus.
+  const wheel = new ol.interaction.MouseWheelZoom({ onFocusOnly: true });
   const map = new ol.Map({
     target,
+    interactions: ol.interaction.defaults.defaults({ onFocusOnly: false, mouseWheelZoom: false }).extend([wheel]),
     layers: [...lines, ...drawn],
     controls: ol.control.defaults.defaults({ attribution: false, rotate: false }).extend([new ol.control.ScaleLine()]),
   });
