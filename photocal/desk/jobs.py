@@ -21,6 +21,8 @@ from photocal.base.files import output_file
 from photocal.base.operating_system import CHILD_FLAGS
 
 FOLDER = ".desk"
+# The long ones, by name; one at a time works in the folder of a project.
+RUN, DEBRIEF = "run", "debrief"
 _PROGRAM = (sys.executable, "-P", "-m", "photocal")
 _ERROR = "error: "
 

@@ -1,5 +1,7 @@
 // A small map of places in degrees, drawn by OpenLayers; no tiles, no network.
 
+import { say } from "../desk.js";
+
 /** Show layers of { places: [{ at: [lon, lat], title }], colour, radius, sides }; choose(place) is told of clicks. */
 export function flatMap(target, layers, choose = () => {}) {
   const { ol } = window;
@@ -31,7 +33,7 @@ export function flatMap(target, layers, choose = () => {}) {
     target,
     interactions: ol.interaction.defaults.defaults({ onFocusOnly: false, mouseWheelZoom: false }).extend([wheel]),
     layers: [...lines, ...drawn],
-    controls: ol.control.defaults.defaults({ attribution: false, rotate: false }).extend([new ol.control.ScaleLine()]),
+    controls: ol.control.defaults.defaults({ attribution: false, rotate: false, zoomOptions: { zoomInTipLabel: say("look.zoom-in"), zoomOutTipLabel: say("look.zoom-out") } }).extend([new ol.control.ScaleLine()]),
   });
   const extent = ol.extent.createEmpty();
   for (const layer of drawn) ol.extent.extend(extent, layer.getSource().getExtent());
