@@ -309,6 +309,20 @@ def test_a_run_is_stopped_and_begun_again(window: Client, home: Path) -> None:
     good(window.post("/api/run/stop"))
 
 
+def test_a_run_waits_for_the_debrief_that_works_in_its_folder(window: Client) -> None:
+    good(window.post("/api/open", {"path": "site"}))
+    good(window.post("/api/new", {"height": "orthometric"}))
+    assert not good(window.get("/api/run")).json["debriefing"]
+    # It follows the card until it is stopped.
+    good(window.post("/api/debrief/start", {"live": True}))
+    assert good(window.get("/api/run")).json["debriefing"]
+    good(window.post("/api/debrief/stop"))
+    assert not good(window.get("/api/run")).json["debriefing"]
+    good(window.post("/api/run/start"))
+    assert good(window.get("/api/check")).json["running"]
+    good(window.post("/api/run/stop"))
+
+
 def test_a_certificate_is_filled_in_issued_signed_sent_and_verified(
     window: Client, home: Path, finished: Path
 ) -> None:

@@ -84,7 +84,8 @@ def test_a_real_flight_is_certified_without_a_terminal(
     expect(page.locator("ol.stages li[aria-current]")).to_be_visible()
     server.send_signal(signal.SIGKILL)
     server.wait()
-    expect(page.locator("main [role=alert]")).to_contain_text("photocal desk")
+    expect(page.locator("main [role=alert]")).to_contain_text("inicie photocal desk de novo")
+    assert serious(page) == []
     serve(flight)
     page.reload()
     expect(page.locator(".total .sign")).to_have_text(re.compile("completo"))

@@ -76,6 +76,7 @@ export async function mount(element, context) {
 
   function startWord(state) {
     if (["stopped", "failed"].includes(state.job.state)) return "run.go-on";
+    if (state.job.state === "busy") return "run.start";
     return state.stages.every((stage) => stage.state !== "none") && state.stages.length ? "run.anew" : "run.start";
   }
 
