@@ -146,12 +146,13 @@ class Job:
             return None
 
     def log(self) -> str:
-        """What it has said, the last part of it."""
+        """What it has said, the last part of it; how far it was is no line of it."""
+        longest_log = 200_000
         try:
-            longest_log = 200_000
-            return self._file("log").read_bytes()[-longest_log:].decode("utf-8", "replace")
+            said = self._file("log").read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
         except OSError:
             return ""
+        return "".join(line for line in said if not line.startswith('{"progress"'))[-longest_log:]
 
     def _file(self, kind: str) -> Path:
         return self._folder / f"{self._name}.{kind}"

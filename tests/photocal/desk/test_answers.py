@@ -203,6 +203,13 @@ def test_lines_of_a_run_tell_its_stages() -> None:
     assert error_of("x\nerror: it is so\n  because\n") == "it is so\nbecause"
 
 
+def test_progress_of_hours_crowds_no_stage_out_of_the_log(tmp_path: Path) -> None:
+    told = '{"progress": {"stage": "measurements", "title": "matching pairs of images", "share": 0.5}}\n'
+    (tmp_path / FOLDER).mkdir()
+    (tmp_path / FOLDER / "run.log").write_text(f"a: ppk: 3.1 s\n{9000 * told}a: exposures: 1.0 s\n")
+    assert Job(tmp_path, "run").log() == "a: ppk: 3.1 s\na: exposures: 1.0 s\n"
+
+
 def test_the_command_tells_how_the_steps_stand(
     photocal: Callable[..., Any], home: Path, tmp_path: Path
 ) -> None:
