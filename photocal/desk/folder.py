@@ -89,8 +89,11 @@ def project(desk: Desk) -> dict[str, Any]:
     """What is known of the folder that is open: its project file as a form, and what `new` has said."""
     holds = _holds(desk, desk.folder)
     form = project_file.shown(desk.file) if desk.file.is_file() else None
-    told = desk.in_its_language(said(desk))
-    return {"holds": holds, "form": form, "said": told, "line": desk.line(["new", desk.folder])}
+    told = said(desk)
+    # What marks may mean is seen in the pictures, in any language.
+    seen = {"frames": (told or {}).get("frames", []), "marks": (told or {}).get("marks", "")}
+    line = desk.line(["new", desk.folder])
+    return {"holds": holds, "form": form, "said": desk.in_its_language(told), "line": line, **seen}
 
 
 def said(desk: Desk) -> dict[str, Any] | None:
