@@ -35,7 +35,7 @@ def state(desk: Desk) -> dict[str, Any]:
         "checked": desk.in_its_language(checked(desk)),
         "debrief": debrief(desk),
         "job": job,
-        "running": desk.at_work(RUN),
+        "running": desk.job(RUN).state()["state"] == "busy",
         "error": with_field(job["error"]),
         "lines": {"doctor": desk.line(_doctor(desk)), "debrief": desk.line(["debrief", desk.folder])},
     }

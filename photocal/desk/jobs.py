@@ -147,12 +147,10 @@ class Job:
 
     def log(self) -> str:
         """What it has said, the last part of it; how far it was is no line of it."""
-        longest_log = 200_000
-        try:
-            said = self._file("log").read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
-        except OSError:
-            return ""
-        return "".join(line for line in said if not line.startswith('{"progress"'))[-longest_log:]
+        path, longest_log = self._file("log"), 200_000
+        said = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+        lines = [line for line in said.splitlines(keepends=True) if not line.startswith('{"progress"')]
+        return "".join(lines)[-longest_log:]
 
     def _file(self, kind: str) -> Path:
         return self._folder / f"{self._name}.{kind}"

@@ -45,7 +45,7 @@ def state(desk: Desk) -> dict[str, Any]:
         "stages": [],
         "progress": None,
         "verdict": None,
-        "debriefing": desk.at_work(DEBRIEF),
+        "debriefing": desk.job(DEBRIEF).state()["state"] == "busy",
     }
     try:
         project = desk.project()

@@ -64,10 +64,6 @@ class Desk:
         """A long command of the project that is open."""
         return self.jobs.setdefault(name, Job(self.folder, name))
 
-    def at_work(self, name: str) -> bool:
-        """Whether a long command of this project is at work."""
-        return bool(self.job(name).state()["state"] == "busy")
-
     def start(self, name: str, arguments: Sequence[str | Path]) -> None:
         """Begin a long command; raises ConfigurationError while it is at work."""
         self.job(name).start(arguments, self.line(arguments))

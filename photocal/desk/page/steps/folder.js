@@ -113,7 +113,7 @@ export async function mount(element, context) {
   // Marks that were made in pictures of another size or turn: what each means is seen in the pictures.
   function frames(project) {
     const { frames: offers, marks } = project;
-    if (!offers.length) return null;
+    if (!offers?.length) return null;
     const choose = async (frame) => {
       fill(box, h("legend", {}, say("field.marks")), h("p.quiet", { role: "status" }, say("folder.looking")));
       const answer = await act(context.post("/api/new", { marks: frame }));
