@@ -15,7 +15,7 @@ from photocal.base.progress import Progress
 from photocal.base.workers import Workers, run_tasks
 from photocal.debrief import pictures
 from photocal.debrief.pictures import PictureQuality, Quick, picture_findings
-from photocal.findings.digits import Number
+from photocal.findings import digits
 from photocal.findings.finding import Finding, Severity, untested
 from photocal.findings.texts import (
     LANGUAGES,
@@ -358,10 +358,15 @@ def _measured(made: Debrief) -> list[tuple[str, dict[str, Any]]]:
 
 def measured_text(measured: Iterable[tuple[str, dict[str, Any]]], say: Catalogue) -> list[str]:
     """Say in lines what was measured, as it stands in the ``measured`` of a debrief."""
-    return [
-        say(key, **{name: Number(v, say.mark) if isinstance(v, float) else v for name, v in figures.items()})
-        for key, figures in measured
-    ]
+    return [say(key, **_printed(figures, say.mark)) for key, figures in measured]
+
+
+def _printed(figures: dict[str, Any], mark: str) -> dict[str, Any]:
+    """Figures as their text takes them: c with the decimals of its standard deviation."""
+    printed = {name: digits.Number(v, mark) if isinstance(v, float) else v for name, v in figures.items()}
+    if "sigma" in figures:
+        printed["c"], printed["sigma"], _ = digits.measured(figures["c"], figures["sigma"], mark)
+    return printed
 
 
 def _overlap(flown: Coverage) -> Floats:

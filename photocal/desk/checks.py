@@ -9,12 +9,11 @@ from starlette.routing import BaseRoute
 from photocal.base.errors import PhotocalError
 from photocal.base.files import output_file
 from photocal.base.web import calling, doing, telling
-from photocal.desk.jobs import FOLDER, asked, kept
+from photocal.desk.jobs import DEBRIEF, FOLDER, RUN, asked, kept
 from photocal.desk.project_file import with_field
 from photocal.desk.session import Desk
 from photocal.findings.texts import catalogue, finding_json, findings_of
 
-JOB = "debrief"
 # The second is what `photocal debrief` writes.
 _KEPT, _DEBRIEF = "check.json", "debrief.json"
 
@@ -31,11 +30,12 @@ def routes(desk: Desk) -> list[BaseRoute]:
 
 def state(desk: Desk) -> dict[str, Any]:
     """What the last check has found, and the debrief as it stands."""
-    job = desk.job(JOB).state()
+    job = desk.job(DEBRIEF).state()
     return {
         "checked": desk.in_its_language(checked(desk)),
         "debrief": debrief(desk),
         "job": job,
+        "running": desk.job(RUN).state()["state"] == "busy",
         "error": with_field(job["error"]),
         "lines": {"doctor": desk.line(_doctor(desk)), "debrief": desk.line(["debrief", desk.folder])},
     }
@@ -96,10 +96,10 @@ def debrief(desk: Desk) -> dict[str, Any] | None:
 
 def _debrief(desk: Desk, *, live: bool = False) -> dict[str, Any]:
     follow: list[str | Path] = ["--live"] if live else []
-    desk.start(JOB, ["debrief", desk.folder, *follow])
+    desk.start(DEBRIEF, ["debrief", desk.folder, *follow])
     return state(desk)
 
 
 def _stop(desk: Desk) -> dict[str, Any]:
-    desk.job(JOB).stop()
+    desk.job(DEBRIEF).stop()
     return state(desk)

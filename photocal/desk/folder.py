@@ -87,10 +87,12 @@ def _open(desk: Desk, path: Annotated[str, Field(max_length=4000)]) -> dict[str,
 
 def project(desk: Desk) -> dict[str, Any]:
     """What is known of the folder that is open: its project file as a form, and what `new` has said."""
-    holds = _holds(desk, desk.folder)
     form = project_file.shown(desk.file) if desk.file.is_file() else None
-    told = desk.in_its_language(said(desk))
-    return {"holds": holds, "form": form, "said": told, "line": desk.line(["new", desk.folder])}
+    told = said(desk)
+    # What marks may mean is seen in the pictures, in any language.
+    seen = {key: (told or {}).get(key) for key in ("frames", "marks")}
+    holds, line = _holds(desk, desk.folder), desk.line(["new", desk.folder])
+    return {"holds": holds, "form": form, "said": desk.in_its_language(told), "line": line, **seen}
 
 
 def said(desk: Desk) -> dict[str, Any] | None:
@@ -167,12 +169,8 @@ def _new(desk: Desk, crs: Short = "", height: Short = "", marks: Short = "") -> 
     (known_crs, known_height), before = _answered(desk), said(desk) or {}
     # What a person has chosen of the marks stays chosen.
     marks = marks or before.get("marks", "")
-    for name, value in (
-        ("--crs", crs or known_crs),
-        ("--height", height or known_height),
-        ("--marks", marks),
-    ):
-        arguments += [name, value] if value else []
+    stated = {"--crs": crs or known_crs, "--height": height or known_height, "--marks": marks}
+    arguments += [word for name, value in stated.items() if value for word in (name, value)]
     arguments += ["--again"] if desk.file.is_file() else []
     arguments += ["--lang", desk.language] if desk.language != "en" else []
     with desk.lock:

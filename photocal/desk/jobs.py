@@ -21,6 +21,8 @@ from photocal.base.files import output_file
 from photocal.base.operating_system import CHILD_FLAGS
 
 FOLDER = ".desk"
+# The long ones, by name; one at a time works in the folder of a project.
+RUN, DEBRIEF = "run", "debrief"
 _PROGRAM = (sys.executable, "-P", "-m", "photocal")
 _ERROR = "error: "
 
@@ -144,12 +146,11 @@ class Job:
             return None
 
     def log(self) -> str:
-        """What it has said, the last part of it."""
-        try:
-            longest_log = 200_000
-            return self._file("log").read_bytes()[-longest_log:].decode("utf-8", "replace")
-        except OSError:
-            return ""
+        """What it has said, the last part of it; how far it was is no line of it."""
+        path, longest_log = self._file("log"), 200_000
+        said = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+        lines = [line for line in said.splitlines(keepends=True) if not line.startswith('{"progress"')]
+        return "".join(lines)[-longest_log:]
 
     def _file(self, kind: str) -> Path:
         return self._folder / f"{self._name}.{kind}"

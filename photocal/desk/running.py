@@ -11,14 +11,13 @@ from starlette.routing import BaseRoute
 from photocal.base.errors import PhotocalError
 from photocal.base.web import calling, doing, telling
 from photocal.desk.certificate import issued_as
-from photocal.desk.jobs import kept
+from photocal.desk.jobs import DEBRIEF, RUN, kept
 from photocal.desk.project_file import with_field
 from photocal.desk.session import Desk
 from photocal.project import Project
 from photocal.run.output_place import STAGES
 from photocal.run.stage import RECORD, made_in
 
-JOB = "run"
 # Of the whole time, what each stage takes in ordinary flights, where none was ever made: in parts.
 _WEIGHTS = {"ppk": 8, "exposures": 2, "measurements": 60, "block": 2, "calibration": 6, "flown": 2}
 _WEIGHTS |= {"georeferencing": 30, "analysis": 50, "certificate": 2}
@@ -30,7 +29,7 @@ def routes(desk: Desk) -> list[BaseRoute]:
         telling("/api/run", lambda: state(desk)),
         doing("/api/run/start", calling(_start, desk)),
         doing("/api/run/stop", lambda _: _stop(desk)),
-        telling("/api/run/log", lambda: {"log": desk.job(JOB).log()}),
+        telling("/api/run/log", lambda: {"log": desk.job(RUN).log()}),
     ]
 
 
@@ -38,7 +37,7 @@ def state(desk: Desk) -> dict[str, Any]:
     """Every stage with its time and state, how far the one at work is, and an error with its field."""
     from photocal.run.campaign import PROGRESS, stages
 
-    job = desk.job(JOB).state()
+    job = desk.job(RUN).state()
     told: dict[str, Any] = {
         "job": job,
         "error": with_field(job["error"]),
@@ -46,6 +45,7 @@ def state(desk: Desk) -> dict[str, Any]:
         "stages": [],
         "progress": None,
         "verdict": None,
+        "debriefing": desk.job(DEBRIEF).state()["state"] == "busy",
     }
     try:
         project = desk.project()
@@ -55,7 +55,7 @@ def state(desk: Desk) -> dict[str, Any]:
     work = project.output
     progress = kept(work / PROGRESS) if job["state"] == "busy" else {}
     names = [stage.name for stage in listed]
-    said = told_stages(desk.job(JOB).log(), names) if job["state"] != "none" else {}
+    said = told_stages(desk.job(RUN).log(), names) if job["state"] != "none" else {}
     issued = issued_as(work / "certificate", desk.language)
     return {
         **told,
@@ -103,12 +103,12 @@ def told_stages(log: str, names: list[str]) -> dict[str, str]:
 
 def _start(desk: Desk, again: Annotated[str, Field(max_length=50)] = "") -> dict[str, Any]:
     arguments: list[str | Path] = ["run", desk.folder]
-    desk.start(JOB, [*arguments, "--again", again] if again else arguments)
+    desk.start(RUN, [*arguments, "--again", again] if again else arguments)
     return state(desk)
 
 
 def _stop(desk: Desk) -> dict[str, Any]:
-    desk.job(JOB).stop()
+    desk.job(RUN).stop()
     return state(desk)
 
 

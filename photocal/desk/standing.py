@@ -13,6 +13,7 @@ from starlette.routing import BaseRoute
 from photocal.base.errors import PhotocalError
 from photocal.base.web import calling, doing, folder_of, refusal, telling
 from photocal.desk import certificate, checks, folder, look, marking, record, running, tiles
+from photocal.desk.jobs import RUN
 from photocal.desk.session import Desk
 from photocal.findings.texts import catalogue
 from photocal.measurement.marking.service import MarkingService
@@ -57,7 +58,7 @@ def standing(desk: Desk) -> dict[str, Stands]:
 
 
 def _processed(desk: Desk, project: Project) -> dict[str, Stands]:
-    job = desk.job(running.JOB).state()["state"]
+    job = desk.job(RUN).state()["state"]
     made = running.made_stages(project)
     issued = certificate.issued_as(project.output / "certificate")
     steps = {}

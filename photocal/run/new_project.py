@@ -240,7 +240,10 @@ class _Text:
             self.known.append(say("new.frame", n=len(heads), by=by, **named))
             used = {path.parent for path in self.frame.head}
             others = [where for where in others if where not in used]
-        counted = {"n": count, "folder": self._beside(self.pictures), "placed": len(self.placed)}
+        where = self._beside(self.pictures)
+        # Pictures beside the project file: the folder's own name says more than a dot.
+        named_so = self.folder.resolve().name if where == "." else where
+        counted = {"n": count, "folder": named_so, "placed": len(self.placed)}
         comment = say("new.pictures", **counted)
         self.known.append(say("new.pictures_sigma", **counted, stated=stated) if stated else comment)
         self.known += told_beside(self.facts, say)

@@ -1,7 +1,7 @@
 """Step Look: 581 images open, the map is dragged, 300 pictures of 20 megapixels are browsed.
 
 What is measured is written beside the other figures (`look.json`); the frames are those of Chromium without a
-graphics card, drawn by the processor.
+graphics card, drawn by the processor. What the page's own script costs is measured beside, and judged.
 """
 
 from __future__ import annotations
@@ -40,24 +40,50 @@ _DRAWN = """new Promise((done) => {
   };
   wait();
 })"""
-# Times at which the map was drawn while it is moved to and fro, a step each frame, as dragging does.
-_PAN = """new Promise((done) => {
+# What the map costs while a mouse drags it for five seconds, a step each frame: when each frame came, how
+# long the page's own script drew it, and how long it drew when the mouse had let go.
+_DRAG = """new Promise((done) => {
   const map = document.getElementById("view-map").blockMap;
-  const view = map.getView();
-  const [x, y] = view.getCenter();
-  const times = [];
-  map.on("postrender", () => times.push(performance.now()));
-  const step = (k) => {
-    if (k === 150) return done(times);
-    const reach = 90 * view.getResolution();
-    view.setCenter([x + reach * Math.sin(k / 7), y + reach * Math.cos(k / 9)]);
-    requestAnimationFrame(() => step(k + 1));
+  const plane = map.getViewport();
+  const box = plane.getBoundingClientRect();
+  const start = map.getView().getCenter();
+  const told = { frames: [], drawing: [], rest: [], moved_px: 0 };
+  let [kept, from] = [told.drawing, 0];
+  const before = () => (from = performance.now());
+  const after = () => kept.push(performance.now() - from);
+  map.on("precompose", before);
+  map.on("postrender", after);
+  const mouse = (kind, seconds, buttons) =>
+    plane.dispatchEvent(new PointerEvent(kind, {
+      pointerId: 1, pointerType: "mouse", isPrimary: true, button: kind === "pointermove" ? -1 : 0, buttons,
+      clientX: box.x + box.width / 2 + 150 * Math.sin(seconds / 0.7),
+      clientY: box.y + box.height / 2 + 80 * Math.sin(seconds / 0.9),
+      bubbles: true, cancelable: true,
+    }));
+  const began = performance.now();
+  mouse("pointerdown", 0, 1);
+  const step = (now) => {
+    told.frames.push(now);
+    const seconds = (performance.now() - began) / 1000;
+    const place = map.getView().getCenter();
+    const moved = Math.hypot(place[0] - start[0], place[1] - start[1]) / map.getView().getResolution();
+    told.moved_px = Math.max(told.moved_px, moved);
+    mouse("pointermove", seconds, 1);
+    if (seconds < 5) return requestAnimationFrame(step);
+    kept = told.rest;
+    mouse("pointerup", seconds, 0);
+    setTimeout(() => {
+      map.un("precompose", before);
+      map.un("postrender", after);
+      done(told);
+    }, 1500);
   };
-  step(0);
+  requestAnimationFrame(step);
 })"""
 
 _WHOLE = """window.OpenSeadragon?.getViewer(document.querySelector(".stage"))
   ?.world.getItemAt(0)?.getFullyLoaded() ?? false"""
+_THUMBNAILS_SEEN = "[...document.querySelectorAll('.thumb img')].filter((one) => one.naturalWidth).length"
 _TO_ONE_PIXEL = """(() => {
   const view = OpenSeadragon.getViewer(document.querySelector(".stage")).viewport;
   view.zoomTo(view.imageToViewportZoom(1), null, true);
@@ -66,10 +92,20 @@ _TO_ONE_PIXEL = """(() => {
 
 @pytest.fixture(scope="module")
 def block(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = large(tmp_path_factory.mktemp("look") / "site", IMAGES, RAYS)
+    return calibrated(large(tmp_path_factory.mktemp("look") / "site", IMAGES, RAYS))
+
+
+def calibrated(folder: Path) -> Path:
+    """Run a project until its cameras are calibrated."""
     command = [sys.executable, "-m", "photocal", "run", str(folder), "--until", "calibration"]
-    subprocess.run(command, check=True, capture_output=True)
+    subprocess.run(command, check=True, capture_output=True, env=surroundings(folder))
     return folder
+
+
+def surroundings(folder: Path) -> dict[str, str]:
+    """Those of a computer on which the program has run before: what Python compiles is kept."""
+    given = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return {**given, "PYTHONPYCACHEPREFIX": str(folder.parent / "compiled")}
 
 
 @pytest.fixture
@@ -94,11 +130,16 @@ def drawn(page: Page) -> None:
     page.evaluate(_DRAWN)
 
 
+@pytest.mark.timeout(900)
 def test_a_large_block_opens_and_pans(block: Path, page: Page, tmp_path: Path, benchmark: Any) -> None:
-    """Asked: open within 3 s, 30 frames a second."""
+    """Asked: open within 3 s, 30 frames a second, of which our own script takes half the time at most."""
     figures = benchmark.pedantic(_opened, (block, page, tmp_path), rounds=1)
     benchmark.extra_info.update(figures)
     keep("block", figures)
+    assert figures["open_s"] <= 3.0
+    for shown in ("usual", "all_layers"):
+        assert figures[shown]["own_95_ms"] <= 15.0
+        assert figures[shown]["frames_per_s"] >= 30.0 or figures["load"] > (os.cpu_count() or 1)
 
 
 def _opened(block: Path, page: Page, tmp_path: Path) -> dict[str, Any]:
@@ -117,10 +158,27 @@ def _opened(block: Path, page: Page, tmp_path: Path) -> dict[str, Any]:
             opens.append(time.perf_counter() - began)
         figures["open_s"] = round(min(opens), 2)
         page.wait_for_timeout(2000)
-        times = np.array(page.evaluate(_PAN))
-        figures["frames_per_s"] = round(float((len(times) - 1) / (times[-1] - times[0]) * 1000), 1)
-        figures["slowest_frame_ms"] = round(float(np.diff(times).max()), 0)
+        figures["usual"] = dragged(page)
+        for box in page.locator(".legend input[type=checkbox]").all():
+            box.check()
+        page.wait_for_timeout(2000)
+        figures["all_layers"] = dragged(page)
     return figures
+
+
+def dragged(page: Page) -> dict[str, float]:
+    """Drag the map: frames in a second, and milliseconds of our own script for each and for the last."""
+    told = page.evaluate(_DRAG)
+    assert told["moved_px"] > 50, "the mouse has not moved the map"
+    between, drawing = np.diff(told["frames"]), np.array(told["drawing"])
+    return {
+        "frames_per_s": round(float(1000 / between.mean()), 1),
+        "drawn_per_s": round(float(1000 * len(drawing) / between.sum()), 1),
+        "slowest_frame_ms": round(float(between.max())),
+        "own_ms": round(float(np.median(drawing)), 2),
+        "own_95_ms": round(float(np.quantile(drawing, 0.95)), 2),
+        "at_rest_ms": round(max(told["rest"])),
+    }
 
 
 def whole(page: Page) -> None:
@@ -132,30 +190,45 @@ def whole(page: Page) -> None:
         page.wait_for_timeout(50)
 
 
+@pytest.mark.timeout(3600)
 def test_memory_of_many_large_pictures(page: Page, tmp_path: Path, benchmark: Any) -> None:
-    """Server and browser together, while each picture is opened and seen to one pixel; asked: 1 GiB."""
+    """Server and browser together: thumbnails from the first to the last, then each picture to one pixel.
+
+    Asked: 1 GiB.
+    """
     figures = benchmark.pedantic(_browsed, (page, tmp_path), rounds=1)
     benchmark.extra_info.update(figures)
     keep("pictures", figures)
+    assert figures["peak_mib"] <= 1024
+    assert figures["thumbnails_seen"] == PICTURES
 
 
 def _browsed(page: Page, tmp_path: Path) -> dict[str, Any]:
-    folder = with_pictures(large(tmp_path / "site", PICTURES, 20_000), picture())
-    command = [sys.executable, "-m", "photocal", "run", str(folder), "--until", "calibration"]
-    subprocess.run(command, check=True, capture_output=True)
+    folder = calibrated(with_pictures(large(tmp_path / "site", PICTURES, 20_000), picture()))
+    most = {"peak_mib": 0, "server_mib": 0, "renderers_mib": 0}
+
+    def look() -> None:
+        now = [held(process) >> 20, sum(map(held, renderers())) >> 20]
+        for name, value in zip(most, (sum(now), *now), strict=True):
+            most[name] = max(most[name], value)
+
     with serving(folder, tmp_path) as (url, process):
         page.goto(f"{url}#/look")
         drawn(page)
-        most, began = 0, time.perf_counter()
-        for k in range(PICTURES):
+        began = time.perf_counter()
+        for thumb in page.locator(".thumb").all():
+            thumb.scroll_into_view_if_needed()
+            look()
+        scrolled = time.perf_counter()
+        for _ in range(PICTURES):
             page.keyboard.press(".")
             whole(page)
             page.evaluate(_TO_ONE_PIXEL)
             whole(page)
-            if k % 10 == 0:
-                most = max(most, held(process) + sum(map(held, renderers())))
-        seconds = time.perf_counter() - began
-    return {"pictures": PICTURES, "peak_mib": most >> 20, "seconds": round(seconds)}
+            look()
+        seen = page.evaluate(_THUMBNAILS_SEEN)
+        seconds = round(scrolled - began), round(time.perf_counter() - scrolled)
+    return {**most, "thumbnails_seen": seen, "scroll_s": seconds[0], "browse_s": seconds[1]}
 
 
 def picture() -> bytes:
@@ -173,7 +246,7 @@ def serving(folder: Path, aside: Path) -> Iterator[tuple[str, int]]:
     """Serve the window in a process of its own; gives its address and number."""
     more = ["--address", "127.0.0.1:0", "--cache", str(aside / "cache")]
     command = [sys.executable, "-m", "photocal", "desk", str(folder), *more]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=surroundings(folder)) as server:
         try:
             assert server.stdout is not None
             yield server.stdout.readline().split()[1], server.pid

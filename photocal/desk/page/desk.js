@@ -203,7 +203,8 @@ async function route(anew = false) {
 }
 
 async function start() {
-  for (const path of ["/texts.json", "/look/texts.json", "/mark/texts.json"]) Object.assign(texts, await context.get(path));
+  const catalogues = ["/texts.json", "/look/texts.json", "/mark/texts.json"].map((path) => context.get(path));
+  Object.assign(texts, ...(await Promise.all(catalogues)));
   await context.post("/api/language", { language });
   await context.renew();
   await reopen();

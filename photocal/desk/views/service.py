@@ -96,6 +96,8 @@ class Look:
         """Make what is asked for first, before anybody asks; without a run there is nothing to make."""
         with suppress(PhotocalError, OSError):
             self.overview()
+            self.findings({"language": self._desk.language})
+            self.overlap()
 
     def findings(self, asked: dict[str, str]) -> dict[str, Any]:
         """All findings in a language."""

@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.solution import Solution
+from photocal.debrief.verdict import measured_text
+from photocal.findings.texts import catalogue
 from photocal.measurement.tie_adjustment import told_by_rays
 from tests.photocal.networks import convergent, lens, observe
 
@@ -47,3 +50,10 @@ def test_positions_as_they_say_tell_it() -> None:
     assert sum(told_by_rays(*pair) is pair[0] for pair in pairs) >= FLIGHTS - 1
     assert told_by_rays(pairs[0][0], None) is pairs[0][0]
     assert told_by_rays(None, None) is None
+
+
+@pytest.mark.parametrize(("language", "said"), [("en", "c 839.1 ± 3.9 px"), ("pt-BR", "c 839,1 ± 3,9 px")])
+def test_c_is_said_with_the_decimals_of_its_standard_deviation(language: str, said: str) -> None:
+    figures = {"camera": "m4e", "unit": "px", "c": 839.136, "sigma": 3.94}
+    (line,) = measured_text([("debrief.camera", figures)], catalogue(language))
+    assert line.endswith(said)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import datetime as dt
 import shutil
-from collections.abc import Iterator
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -65,3 +68,29 @@ def window(home: Path, tmp_path: Path) -> Iterator[Client]:
     """The window, opened on it."""
     with opened(home, tmp_path / "cache") as client:
         yield client
+
+
+@pytest.fixture
+def port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def serve(port: int) -> Iterator[Callable[[Path], subprocess.Popen[str]]]:
+    running: list[subprocess.Popen[str]] = []
+
+    def start(folder: Path) -> subprocess.Popen[str]:
+        arguments = ["desk", folder, "--address", f"127.0.0.1:{port}"]
+        command = [sys.executable, "-m", "photocal", *map(str, arguments)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        running.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith(f"open http://127.0.0.1:{port}/ ")
+        return process
+
+    yield start
+    for process in running:
+        process.kill()
+        process.communicate()

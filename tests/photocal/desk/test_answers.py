@@ -203,6 +203,13 @@ def test_lines_of_a_run_tell_its_stages() -> None:
     assert error_of("x\nerror: it is so\n  because\n") == "it is so\nbecause"
 
 
+def test_progress_of_hours_crowds_no_stage_out_of_the_log(tmp_path: Path) -> None:
+    told = '{"progress": {"stage": "measurements", "title": "matching pairs of images", "share": 0.5}}\n'
+    (tmp_path / FOLDER).mkdir()
+    (tmp_path / FOLDER / "run.log").write_text(f"a: ppk: 3.1 s\n{9000 * told}a: exposures: 1.0 s\n")
+    assert Job(tmp_path, "run").log() == "a: ppk: 3.1 s\na: exposures: 1.0 s\n"
+
+
 def test_the_command_tells_how_the_steps_stand(
     photocal: Callable[..., Any], home: Path, tmp_path: Path
 ) -> None:
@@ -306,6 +313,20 @@ def test_a_run_is_stopped_and_begun_again(window: Client, home: Path) -> None:
     # Nothing holds the folder any more, and nothing half made takes the place of a stage.
     assert all((stage / "stage.json").is_file() for stage in (home / "site/work/.stages").glob("[a-z]*/"))
     assert good(window.post("/api/run/start")).json["job"]["state"] == "busy"
+    good(window.post("/api/run/stop"))
+
+
+def test_a_run_waits_for_the_debrief_that_works_in_its_folder(window: Client) -> None:
+    good(window.post("/api/open", {"path": "site"}))
+    good(window.post("/api/new", {"height": "orthometric"}))
+    assert not good(window.get("/api/run")).json["debriefing"]
+    # It follows the card until it is stopped.
+    good(window.post("/api/debrief/start", {"live": True}))
+    assert good(window.get("/api/run")).json["debriefing"]
+    good(window.post("/api/debrief/stop"))
+    assert not good(window.get("/api/run")).json["debriefing"]
+    good(window.post("/api/run/start"))
+    assert good(window.get("/api/check")).json["running"]
     good(window.post("/api/run/stop"))
 
 

@@ -1,18 +1,24 @@
-"""Pictures of a real flight, from their folder to the signed certificate, without a terminal."""
+"""Pictures of a real flight, in Portuguese, from their folder to the signed certificate, without a terminal.
+
+The run is stopped in the middle of matching and goes on; then the server is killed and opened again.
+"""
 
 from __future__ import annotations
 
 import re
+import signal
+import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from PIL import Image
 
-from tests.photocal.desk.client import opened
+from tests.photocal.desk.watch import serious, watched
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Page
 
 expect = pytest.importorskip(
     "playwright.sync_api", reason="playwright is not installed (the extra dev has it)"
@@ -40,31 +46,55 @@ def flight(shared: Path, tmp_path: Path) -> Path:
     return folder
 
 
+def stopped_while_matching(page: Page, folder: Path) -> None:
+    """Stop the run while it matches pairs: what was finished stays, and nothing half made."""
+    project = (folder / "project.toml").read_bytes()
+    page.get_by_role("button", name="Processar", exact=True).click()
+    expect(page.locator("ol.stages li[aria-current] .hint")).to_have_text("associando pares de imagens")
+    assert serious(page) == []
+    page.get_by_role("button", name="Parar").click()
+    expect(page.locator("main")).to_contain_text("As etapas prontas ficam")
+    expect(page.locator("#rail a[href='#/run']")).to_contain_text("interrompido")
+    assert serious(page) == []
+    assert (folder / "project.toml").read_bytes() == project
+    assert not (folder / "work" / "measurements").exists()
+    page.get_by_role("button", name="Continuar").click()
+
+
 @pytest.mark.timeout(1800)
 def test_a_real_flight_is_certified_without_a_terminal(
-    browser: Browser, flight: Path, tmp_path: Path
+    browser: Browser, flight: Path, port: int, serve: Callable[[Path], subprocess.Popen[str]]
 ) -> None:
-    context = browser.new_context(viewport={"width": 1366, "height": 768}, locale="en-US")
+    context = browser.new_context(viewport={"width": 1366, "height": 768}, locale="pt-BR")
     page = context.new_page()
     page.set_default_timeout(_PATIENCE_MS)
-    problems: list[str] = []
-    page.on("pageerror", lambda error: problems.append(str(error)))
-    with opened(flight, tmp_path / "cache") as window:
-        page.goto(f"{window.url}/")
-        page.get_by_role("button", name="Inspect this folder").click()
-        expect(page.locator(".findings")).to_contain_text("7 pictures", timeout=_PATIENCE_MS)
-        # Central Texas: the zone is told by the pictures.
-        expect(page.get_by_label("Coordinate system")).to_have_value("EPSG:32614")
-        page.locator("#rail").get_by_text("Run").click()
-        page.get_by_role("button", name="Run", exact=True).click()
-        expect(page.locator(".total .sign")).to_have_text(re.compile("complete"), timeout=_PATIENCE_MS)
-        page.get_by_role("link", name="To the certificate").click()
-        page.get_by_label("Person or office").fill("Office for tests")
-        page.get_by_role("button", name="Make a key").click()
-        page.get_by_role("button", name="Sign", exact=True).click()
-        expect(page.locator("main .sign.good").first).to_have_text(re.compile("signed"), timeout=_PATIENCE_MS)
-        issued = window.get("/api/certificate").json["issued"]
-        assert issued["signed"]
-        assert (flight / "work" / "certificate" / "signature.json").is_file()
+    expect.set_options(timeout=_PATIENCE_MS)
+    problems = watched(page, f"http://127.0.0.1:{port}/")
+    server = serve(flight)
+    page.goto(f"http://127.0.0.1:{port}/")
+    page.get_by_role("button", name="Examinar esta pasta").click()
+    expect(page.locator(".findings")).to_contain_text("7 imagens")
+    # Central Texas: the zone is told by the pictures.
+    expect(page.get_by_label("Sistema de coordenadas")).to_have_value("EPSG:32614")
+    expect(page.locator(".list [aria-current=true]")).to_contain_text("projeto")
+    page.locator("#rail a[href='#/run']").click()
+    stopped_while_matching(page, flight)
+
+    # The run is a process of its own: the window that is opened again finds it.
+    expect(page.locator("ol.stages li[aria-current]")).to_be_visible()
+    server.send_signal(signal.SIGKILL)
+    server.wait()
+    expect(page.locator("main [role=alert]")).to_contain_text("inicie photocal desk de novo")
+    assert serious(page) == []
+    serve(flight)
+    page.reload()
+    expect(page.locator(".total .sign")).to_have_text(re.compile("completo"))
+    page.get_by_role("link", name="Ir ao certificado").click()
+    page.get_by_label("Pessoa ou escritório").fill("Escritório de teste")
+    page.get_by_role("button", name="Criar uma chave").click()
+    page.get_by_role("button", name="Assinar", exact=True).click()
+    expect(page.locator("main .sign.good").first).to_have_text(re.compile("assinado"))
+    expect(page.locator("#rail a[href='#/certificate']")).to_contain_text("assinado")
+    assert (flight / "work" / "certificate" / "signature.json").is_file()
     assert problems == []
     context.close()

@@ -82,6 +82,15 @@ def test_every_stage_has_its_name_in_the_catalogue() -> None:
     assert {f"stage.{name}" for name in STAGES} <= texts().keys()
 
 
+def test_every_work_within_a_stage_has_its_title_in_the_catalogue() -> None:
+    titles = set[str]()
+    for room in ("run", "measurement"):
+        for path in (PAGE.parents[1] / room).rglob("*.py"):
+            titles |= set(re.findall(r'\b(?:progress|show)\("([^"]+)"', path.read_text(encoding="utf-8")))
+    assert "matching pairs of images" in titles
+    assert {f"work.{title}" for title in titles} <= texts().keys()
+
+
 def test_nothing_in_the_page_reads_text_as_html() -> None:
     for path in sorted(PAGE.rglob("*.js")):
         source = path.read_text(encoding="utf-8")

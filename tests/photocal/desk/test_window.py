@@ -5,22 +5,19 @@ Waiting times are generous for busy machines.
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import signal
-import socket
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
 from tests.conftest import Once
 from tests.photocal.desk.conftest import HOSTILE, fresh
-from tests.photocal.desk.watch import AXE, watched
+from tests.photocal.desk.watch import serious, watched
 from tests.photocal.run.typed_site import resized
 
 if TYPE_CHECKING:
@@ -33,35 +30,6 @@ expect = pytest.importorskip(
 PATIENCE_MS = 300_000
 expect.set_options(timeout=PATIENCE_MS)
 FIELD_LAPTOP = {"width": 1366, "height": 768}
-# Findings of axe-core that keep somebody from using the page.
-_SERIOUS = ("serious", "critical")
-Serve = Callable[[], subprocess.Popen[str]]
-
-
-@pytest.fixture
-def port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-@pytest.fixture
-def serve(port: int) -> Iterator[Callable[[Path], subprocess.Popen[str]]]:
-    running: list[subprocess.Popen[str]] = []
-
-    def start(folder: Path) -> subprocess.Popen[str]:
-        arguments = ["desk", folder, "--address", f"127.0.0.1:{port}"]
-        command = [sys.executable, "-m", "photocal", *map(str, arguments)]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        running.append(process)
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith(f"open http://127.0.0.1:{port}/ ")
-        return process
-
-    yield start
-    for process in running:
-        process.kill()
-        process.communicate()
 
 
 @pytest.fixture
@@ -76,23 +44,6 @@ def page(browser: Browser, port: int) -> Iterator[Page]:
     seen = list(problems)
     context.close()
     assert seen == [], seen
-
-
-def accessible(page: Page) -> None:
-    """Look for what keeps people out, by axe-core; the page's own policy would keep the checker out."""
-    session: Any = page.context.new_cdp_session(page)
-    session.send("Runtime.evaluate", {"expression": AXE.read_text(encoding="utf-8")})
-    told = session.send(
-        "Runtime.evaluate",
-        {
-            "expression": "axe.run({iframes: false}).then((r) => JSON.stringify(r.violations.map("
-            "(v) => [v.impact, v.id, v.nodes[0].html.slice(0, 120), v.nodes[0].failureSummary])))",
-            "awaitPromise": True,
-            "returnByValue": True,
-        },
-    )
-    serious = [one for one in json.loads(told["result"]["value"]) if one[0] in _SERIOUS]
-    assert serious == [], serious
 
 
 @pytest.mark.timeout(1500)
@@ -114,13 +65,13 @@ def test_from_the_folder_to_the_signed_certificate(
     expect(page.get_by_label("Coordinate system")).to_have_value(re.compile("EPSG:"))
     page.get_by_text("orthometric", exact=True).click()
     expect(page.get_by_role("radio", name=re.compile("orthometric"))).to_be_checked()
-    accessible(page)
+    assert serious(page) == []
 
     page.get_by_role("link", name=re.compile("Check")).click()
     page.get_by_role("button", name="Check now").click()
     mend = page.get_by_role("link", name=re.compile("Correct it: Coordinate system"))
     expect(mend).to_be_visible()
-    accessible(page)
+    assert serious(page) == []
     mend.click()
     system = page.get_by_label("Coordinate system")
     expect(system).to_be_focused()
@@ -146,13 +97,13 @@ def test_from_the_folder_to_the_signed_certificate(
     expect(page.locator("#rail .title span")).to_have_text(HOSTILE)
     expect(page.locator(".total .sign")).to_contain_text(re.compile("complete"))
     expect(page.locator(".verdict p").first).not_to_be_empty()
-    accessible(page)
+    assert serious(page) == []
 
     page.get_by_role("link", name=re.compile("Certificate")).first.click()
     page.get_by_label("Client").fill(HOSTILE)
     framed = page.frame_locator("iframe.preview")
     expect(framed.locator("body")).to_contain_text(HOSTILE)
-    accessible(page)
+    assert serious(page) == []
     page.get_by_label("Person or office").fill("Office for tests")
     page.get_by_role("button", name="Make a key").click()
     expect(page.locator("main")).to_contain_text("It will be signed by Office for tests")
@@ -182,7 +133,7 @@ def test_sizes_of_marks_are_chosen_in_the_pictures_by_keys(
     # A crop of each mark, in each row.
     assert page.locator(".frame-offer").count() > 1
     expect(page.locator(".frame-offer").first.locator("canvas")).to_have_count(3)
-    accessible(page)
+    assert serious(page) == []
     stored = page.get_by_role("radio", name="as the pictures are stored")
     stored.press("Space")
     expect(page.locator("#command code")).to_contain_text("--marks 1 --again")
@@ -217,7 +168,7 @@ def test_keys_alone_reach_every_step_and_the_language_changes(
     expect(page.locator("html")).to_have_attribute("lang", "pt-BR")
     page.reload()
     expect(page.locator("main h1")).to_have_text("Gravar")
-    accessible(page)
+    assert serious(page) == []
 
 
 def test_a_telephone_shows_the_recording(

@@ -33,9 +33,9 @@ def watched(page: Page, url: str) -> list[str]:
 
 
 def serious(page: Page) -> list[str]:
-    """What axe-core holds against the page, that is serious or critical."""
+    """What axe-core holds against the page, that is serious or critical; a page within it is another's."""
     page.evaluate(AXE.read_text(encoding="utf-8"))
-    found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
+    found = page.evaluate("axe.run(document, { resultTypes: ['violations'], iframes: false })")
     return [
         f"{one['id']}: {one['nodes'][0]['html'][:120]}"
         for one in found["violations"]

@@ -181,7 +181,7 @@ def test_a_project_in_portuguese_is_the_same_project(folder: Path) -> None:
     own = new_project(folder, height="ellipsoidal", language="pt-BR")
     ours = own.path.read_text(encoding="utf-8")
     assert tomllib.loads(ours) == tomllib.loads(theirs)
-    assert "# 3 imagens em ., 3 com posição" in ours
+    assert f"# 3 imagens em {folder.name}, 3 com posição" in ours
     assert not {line.partition("# ")[2] for line in ours.splitlines()} & {
         line.partition("# ")[2] for line in theirs.splitlines() if "# " in line
     }

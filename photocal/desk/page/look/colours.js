@@ -29,13 +29,14 @@ export function round(value) {
 /** A length with its unit: mm, cm or m. */
 export function metres(value, language) {
   const [factor, unit] = Math.abs(value) < 0.0095 ? [1000, "mm"] : Math.abs(value) < 0.995 ? [100, "cm"] : [1, "m"];
-  return `${number(value * factor, language)} ${unit}`;
+  // Three numbers side by side have the same digits.
+  return `${number(value * factor, language, 3, Math.abs(value * factor) < 1 ? 1 : 3)} ${unit}`;
 }
 
-/** A number with three digits at most, as the language writes it. */
-export function number(value, language, digits = 3) {
+/** A number with three digits at most and so many at least, as the language writes it. */
+export function number(value, language, digits = 3, least = 1) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
-  return new Intl.NumberFormat(language, { maximumSignificantDigits: digits, useGrouping: false }).format(value).replace("-", "\u2212");
+  return new Intl.NumberFormat(language, { minimumSignificantDigits: least, maximumSignificantDigits: digits, useGrouping: false }).format(value).replace("-", "\u2212");
 }
 
 /** A number with so many decimals, as the language writes it. */

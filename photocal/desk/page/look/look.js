@@ -1,7 +1,7 @@
 // Step Look: what the run has found, linked: findings, map, pictures, plots and 3-D view of one selection.
 
 import { Refusal } from "../desk.js";
-import { fill, h, said, styles } from "../dom.js";
+import { fill, h, said, script, styles } from "../dom.js";
 import { findingsList } from "./findings.js";
 import { leaving } from "./leaving.js";
 import { blockMap } from "./map.js";
@@ -14,6 +14,8 @@ const VIEWS = { map: blockMap, space: spaceView, plots: plotsPane };
 
 export async function mount(element, context) {
   for (const path of ["/look/look.css", "/look/viewer.css", "/vendor/ol.css", "/vendor/uplot.css"]) styles(path);
+  // The map's library comes while the server reads the project; the map tells if it does not.
+  script("/vendor/ol.js").catch(() => {});
   let here = await read(element, context, again);
   return { leave: () => here.leave?.(), route: (parts) => here.route?.(parts) };
 

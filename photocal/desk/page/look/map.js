@@ -34,6 +34,8 @@ export async function blockMap(target, shared) {
     target: holder,
     layers: [...usable.map((name) => layers[name]), layers.chosen],
     view,
+    // A map that may have the focus would else be dragged and zoomed only once it has it.
+    interactions: ol.interaction.defaults.defaults({ onFocusOnly: false }),
     keyboardEventTarget: holder,
     controls: ol.control.defaults.defaults({ attribution: false, rotate: false, zoomOptions: { zoomInTipLabel: say("look.zoom-in"), zoomOutTipLabel: say("look.zoom-out") } }).extend([new ol.control.ScaleLine({ minWidth: 70 })]),
   });
@@ -43,7 +45,7 @@ export async function blockMap(target, shared) {
   show(selection.now);
   const unlisten = selection.listen(show);
   map.on("click", (event) => choose(event.pixel));
-  map.on("pointermove", (event) => !event.dragging && hint(event.pixel));
+  map.on("pointermove", (event) => (event.dragging ? (tip.hidden = true) : hint(event.pixel)));
   holder.addEventListener("pointerleave", () => (tip.hidden = true));
   target.blockMap = map;
   return {
@@ -138,11 +140,14 @@ export async function blockMap(target, shared) {
   function arrowStyle(one, resolution) {
     const color = one.get("role") === "tie" ? INK : KINDS[one.get("role")];
     const long = one.getGeometry().getLength() / resolution;
-    const head = new ol.style.RegularShape({ points: 3, radius: Math.min(5, Math.max(1, long / 4)), rotation: one.get("turn"), rotateWithView: true, fill: new ol.style.Fill({ color }) });
+    const head = resolution * Math.min(5, Math.max(1, long / 4));
+    const [x, y] = one.get("tip");
+    // Shapes, not symbols: a symbol would be a picture of its own for each direction.
+    const corners = [0, 1, 2, 0].map((k) => one.get("turn") + (k * 2 * Math.PI) / 3).map((turn) => [x + head * Math.sin(turn), y + head * Math.cos(turn)]);
     return [
       line("#ffffffb0", long < 12 ? 2 : 4),
       line(color, long < 12 ? 1 : 1.75),
-      new ol.style.Style({ geometry: new ol.geom.Point(one.get("tip")), image: head }),
+      new ol.style.Style({ geometry: new ol.geom.Polygon([corners]), fill: new ol.style.Fill({ color }) }),
     ];
   }
 

@@ -33,7 +33,6 @@ export async function spaceView(target, shared) {
   const stations = block.images.names.map((_, k) => vector(block.images, k));
   const marked = block.points.names.map((_, k) => vector(block.points, k));
   const box = new three.Box3().setFromPoints([...stations, ...marked].filter(Boolean));
-  const reach = box.getSize(new three.Vector3()).length() || 10;
   const spacing = usualSpacing(block.images.names.map((_, k) => [block.images.x[k], block.images.y[k]]));
   const enlarged = ellipsoidFactor();
   let dirty = true;
@@ -89,8 +88,11 @@ export async function spaceView(target, shared) {
     shape.setAttribute("position", new three.BufferAttribute(place, 3));
     shape.setAttribute("color", new three.BufferAttribute(colour, 3));
     scene.add(new three.Points(shape, new three.PointsMaterial({ size: 2.5, sizeAttenuation: false, vertexColors: true })));
-    if (count) box.expandByObject(scene.children.at(-1));
-    return { low: quantile([...sigma], 0.02), high };
+    const sorted = [0, 1, 2].map((axis) => place.filter((_, k) => k % 3 === axis).sort());
+    const at = (share) => new three.Vector3(...sorted.map((values) => values[Math.floor(share * (count - 1))]));
+    // A tie that lies far off does not make all others small.
+    if (count) for (const share of [0.01, 0.99]) box.expandByPoint(at(share));
+    return { low: quantile([...sigma], 0.02), high, ground: count ? at(0.5).z : 0 };
   }
 
   /** Each camera as a pyramid towards the corners of its footprint. */
@@ -103,8 +105,7 @@ export async function spaceView(target, shared) {
   function pyramid(k) {
     const ring = block.images.footprint[k];
     if (!stations[k] || ring[0][0] === null) return [];
-    const ground = quantile(block.points.z.concat(), 0.5) - oz;
-    const level = Number.isFinite(ground) && block.points.z.length ? ground : 0;
+    const level = block.points.z.some(Number.isFinite) ? quantile(block.points.z, 0.5) - oz : colours.ground;
     const part = Math.min(0.3, (FRUSTUM * spacing) / Math.hypot(ring[2][0] - ring[0][0], ring[2][1] - ring[0][1]));
     const corners = [0, 2, 4, 6].map((n) => new three.Vector3(ring[n][0] - ox, ring[n][1] - oy, level).sub(stations[k]).multiplyScalar(part).add(stations[k]));
     return corners.flatMap((corner, n) => [stations[k], corner, corner, corners[(n + 1) % 4]]);
@@ -131,10 +132,14 @@ export async function spaceView(target, shared) {
   }
 
   function look() {
-    const middle = box.getCenter(new three.Vector3());
-    camera.near = reach / 1000;
-    camera.far = reach * 20;
-    camera.position.copy(middle).add(new three.Vector3(0.35, -0.85, 0.75).multiplyScalar(reach));
+    const { center: middle, radius } = box.getBoundingSphere(new three.Sphere());
+    const reach = radius || 5;
+    const upright = Math.tan(three.MathUtils.degToRad(camera.fov / 2));
+    const away = (1.05 * reach) / Math.sin(Math.atan(upright * Math.min(1, camera.aspect)));
+    camera.near = reach / 500;
+    camera.far = reach * 40;
+    camera.updateProjectionMatrix();
+    camera.position.copy(middle).add(new three.Vector3(0.35, -0.85, 0.75).setLength(away));
     controls.target.copy(middle);
     controls.update();
     dirty = true;

@@ -74,7 +74,7 @@ export async function mount(element, context) {
     fill(acts,
       h("h2", {}, say("certificate.issued")),
       !issued && h("p.quiet", {}, say("certificate.none")),
-      issued && h("p", {}, h("b", {}, issued.number), " · ", issued.date, " · ", sign(issued.signed ? "good" : "warn", say(issued.signed ? "stands.signed" : "stands.unsigned"))),
+      issued && h("p", {}, h("b", {}, issued.number), " · ", issued.date, " ", sign(issued.signed ? "good" : "warn", say(issued.signed ? "stands.signed" : "stands.unsigned"))),
       verdict && said({ passed: "good", note: "good", doubtful: "warn" }[verdict.severity] ?? "bad", h("p", {}, verdict.paragraph),
         verdict.said?.length > 0 && h("ul", {}, verdict.said.map((line) => h("li", {}, line)))),
       h("p.buttons", {}, issue, issued && h("a.button", { href: "/certificate/zip", download: "" }, say("certificate.zip"))),

@@ -26,7 +26,7 @@ export async function mount(element, context) {
       const state = await asking;
       fill(trouble);
       draw(state);
-      if (state.job.state === "busy") timer = setTimeout(() => step(context.get("/api/check")), EVERY_MS);
+      if (state.job.state === "busy" || state.running) timer = setTimeout(() => step(context.get("/api/check")), EVERY_MS);
     } catch (failure) {
       fill(trouble, said("bad", failure.message));
     }
@@ -70,10 +70,11 @@ export async function mount(element, context) {
       places.length > 0 && (kept ?? area),
       places.length > 0 && legend(places),
       debrief && h("ul.figures", {}, debrief.summary.map((line) => h("li", {}, line))),
+      state.running && h("p.hint", {}, say("check.running")),
       h("p.buttons", {},
         busy && h("button", { type: "button", onclick: () => step(context.post("/api/debrief/stop")) }, say("run.stop")),
-        !busy && h("button", { type: "button", onclick: start(false) }, say("check.debrief")),
-        !busy && h("button", { type: "button", onclick: start(true) }, say("check.live"))));
+        !busy && h("button", { type: "button", disabled: state.running, onclick: start(false) }, say("check.debrief")),
+        !busy && h("button", { type: "button", disabled: state.running, onclick: start(true) }, say("check.live"))));
     if (places.length && !kept) {
       drawn = key;
       drawMap(area, places, debrief?.coverage);

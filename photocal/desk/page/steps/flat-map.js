@@ -1,5 +1,7 @@
 // A small map of places in degrees, drawn by OpenLayers; no tiles, no network.
 
+import { say } from "../desk.js";
+
 /** Show layers of { places: [{ at: [lon, lat], title }], colour, radius, sides }; choose(place) is told of clicks. */
 export function flatMap(target, layers, choose = () => {}) {
   const { ol } = window;
@@ -25,10 +27,13 @@ export function flatMap(target, layers, choose = () => {}) {
     source: new ol.source.Vector({ features: [new ol.Feature(new ol.geom.LineString(layer.places.map((place) => ol.proj.fromLonLat(place.at))))] }),
     style: new ol.style.Style({ stroke: new ol.style.Stroke({ color: layer.colour, width: 1.5, lineDash: layer.dash }) }),
   }));
+  // The mouse drags at once; the wheel moves the page until the map has the focus.
+  const wheel = new ol.interaction.MouseWheelZoom({ onFocusOnly: true });
   const map = new ol.Map({
     target,
+    interactions: ol.interaction.defaults.defaults({ onFocusOnly: false, mouseWheelZoom: false }).extend([wheel]),
     layers: [...lines, ...drawn],
-    controls: ol.control.defaults.defaults({ attribution: false, rotate: false }).extend([new ol.control.ScaleLine()]),
+    controls: ol.control.defaults.defaults({ attribution: false, rotate: false, zoomOptions: { zoomInTipLabel: say("look.zoom-in"), zoomOutTipLabel: say("look.zoom-out") } }).extend([new ol.control.ScaleLine()]),
   });
   const extent = ol.extent.createEmpty();
   for (const layer of drawn) ol.extent.extend(extent, layer.getSource().getExtent());

@@ -21,6 +21,7 @@ export async function mount(element, context) {
     h("div.columns", {}, h("div", {}, chooser, found), h("div", {}, form, map)),
   );
   let chart = null;
+  let browsed = "";
 
   async function act(promise) {
     fill(trouble);
@@ -42,7 +43,8 @@ export async function mount(element, context) {
     await list(browse);
   }
 
-  async function list(path) {
+  async function list(path = browsed) {
+    browsed = path;
     const listed = await act(context.get(`/api/folders?path=${encodeURIComponent(path)}`));
     if (!listed) return;
     const row = (entry, name) =>
@@ -93,6 +95,8 @@ export async function mount(element, context) {
       const answer = await act(context.post("/api/new", {}));
       if (answer) draw(answer);
       else drawFound(project);
+      // It is a project now.
+      if (answer) await list();
       await places();
     };
     fill(
@@ -108,8 +112,8 @@ export async function mount(element, context) {
 
   // Marks that were made in pictures of another size or turn: what each means is seen in the pictures.
   function frames(project) {
-    const { frames: offers = [], marks = "" } = project.said ?? {};
-    if (!offers.length) return null;
+    const { frames: offers, marks } = project;
+    if (!offers?.length) return null;
     const choose = async (frame) => {
       fill(box, h("legend", {}, say("field.marks")), h("p.quiet", { role: "status" }, say("folder.looking")));
       const answer = await act(context.post("/api/new", { marks: frame }));

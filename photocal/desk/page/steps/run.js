@@ -45,7 +45,8 @@ export async function mount(element, context) {
     }
     const wanted = state.error;
     fill(trouble, wanted && said("bad", h("p", {}, wanted.text), wanted.field && mend(wanted.field)),
-      job.state === "stopped" && said("warn", say("run.sound")));
+      job.state === "stopped" && said("warn", say("run.sound")),
+      state.debriefing && said("warn", h("p", {}, say("run.debriefing")), h("a.button", { href: "#/check" }, say("step.check"))));
     if (details.open) tellLog();
     drawHead(state);
     drawBars(state);
@@ -60,7 +61,7 @@ export async function mount(element, context) {
     const { job, stages } = state;
     const busy = job.state === "busy";
     const share = total(state);
-    const start = h("button.main", { id: "start", type: "button", disabled: busy || !stages.length, onclick: () => step(context.post("/api/run/start", {})) }, say(startWord(state)));
+    const start = h("button.main", { id: "start", type: "button", disabled: busy || state.debriefing || !stages.length, onclick: () => step(context.post("/api/run/start", {})) }, say(startWord(state)));
     const stop = h("button", { id: "stop", type: "button", hidden: !busy, onclick: () => { stop.disabled = true; stop.textContent = say("run.stopping"); step(context.post("/api/run/stop", {})); } }, say("run.stop"));
     const seconds = job.began ? Date.now() / 1000 - job.began : 0;
     fill(head,
@@ -75,6 +76,7 @@ export async function mount(element, context) {
 
   function startWord(state) {
     if (["stopped", "failed"].includes(state.job.state)) return "run.go-on";
+    if (state.job.state === "busy") return "run.start";
     return state.stages.every((stage) => stage.state !== "none") && state.stages.length ? "run.anew" : "run.start";
   }
 
@@ -119,11 +121,17 @@ export async function mount(element, context) {
       const name = stage.ours ? say(`stage.${stage.name}`) : stage.name;
       return h("li", { class: STATES[stage.state], "aria-current": busy ? "step" : null },
         h("span.number", { "aria-hidden": "true" }, k + 1),
-        h("span.name", {}, name, busy && state.progress?.title && h("span.hint", {}, state.progress.title)),
+        h("span.name", {}, name, busy && state.progress?.title && h("span.hint", {}, work(state.progress.title))),
         h("progress", { max: 1, value: share === null ? undefined : share, "aria-label": name }),
         sign(STATES[stage.state] ?? "none", say(`run.stage.${stage.state}`)),
         h("span.seconds", {}, stage.seconds && STATES[stage.state] === "good" ? clock(stage.seconds) : ""));
     }));
+  }
+
+  /** What is done within a stage; works of others tell their own titles. */
+  function work(title) {
+    const text = say(`work.${title}`);
+    return text === `work.${title}` ? title : text;
   }
 
   function clock(seconds) {

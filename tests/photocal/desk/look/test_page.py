@@ -106,6 +106,37 @@ def test_one_selection_lights_up_everywhere(browser: Browser, made: Path, tmp_pa
         assert lit(page) == 0
 
 
+def test_the_map_follows_the_mouse_at_once(browser: Browser, made: Path, tmp_path: Path) -> None:
+    """What nobody has clicked yet is dragged, and zoomed by the wheel."""
+    with looking(browser, made, tmp_path / "cache") as page:
+        expect(page.locator("#view-map canvas").first).to_be_visible()
+        box = page.locator("#view-map .plane").bounding_box()
+        assert box is not None
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        _, scale = resting(page)
+        page.mouse.move(x, y)
+        page.mouse.wheel(0, -400)
+        page.wait_for_timeout(300)
+        place, finer = resting(page)
+        assert finer < 0.9 * scale
+        page.mouse.down()
+        page.mouse.move(x - 30, y, steps=5)
+        page.mouse.move(x - 90, y, steps=5)
+        dragged, _ = resting(page)
+        page.mouse.up()
+        # The first pixels decide whether it is a click.
+        assert 60 < (dragged[0] - place[0]) / finer <= 90
+
+
+def resting(page: Page) -> tuple[list[float], float]:
+    """Centre of the map and metres of a pixel, when nothing moves any more."""
+    view = "document.getElementById('view-map').blockMap.getView()"
+    while page.evaluate(f"!{view}.getResolution() || {view}.getAnimating()"):
+        page.wait_for_timeout(50)
+    place, scale = page.evaluate(f"[{view}.getCenter(), {view}.getResolution()]")
+    return place, scale
+
+
 def test_all_of_it_by_keyboard(browser: Browser, finished: Path, tmp_path: Path) -> None:
     with looking(browser, finished, tmp_path / "cache") as page:
         first = page.locator("button.line").first
