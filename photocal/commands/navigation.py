@@ -7,7 +7,7 @@ import typer
 
 from photocal.base.console import AsJson, Language, answer, argument, option, spread
 from photocal.base.errors import ConfigurationError
-from photocal.navigation.options import ExposureOptions, PpkOptions, ReceiverOptions
+from photocal.navigation.options import ExposureOptions, PpkOptions, ReceiverOptions, SiteOptions
 
 
 @spread
@@ -120,19 +120,15 @@ def survey(
     answer(as_json, lambda: figures, lambda: survey_text(figures, say))
 
 
+@spread
 def localise(
     local: Annotated[
         Path, argument("Points in the local system: point, X, Y, Z, optional sX, sY, sZ, role.")
     ],
     mapped: Annotated[Path, argument("Points in the map system, as `photocal survey` writes them.")],
     output: Annotated[Path, option("Folder for the report and the points.", "-o", "--output")],
-    crs: Annotated[str, option("Map system of the second table, such as EPSG:31982.")],
     *,
-    scale: Annotated[
-        str, option("free, ground (metres on the ground), or a number: local over map.")
-    ] = "free",
-    level: Annotated[bool, option("Estimate a shift of the heights, not a tilted plane.", "--level")] = False,
-    without: Annotated[str, option("Common points to leave out, separated by commas.")] = "",
+    options: SiteOptions,
     language: Language = "",
     as_json: AsJson = False,
 ) -> None:
@@ -153,9 +149,7 @@ def localise(
         write_calibration,
     )
 
-    names = tuple(name.strip() for name in without.split(",") if name.strip())
-    tables = read_point_table(local), read_point_table(mapped)
-    made = calibrate(*tables, crs, names, scale, tilt=not level)
+    made = calibrate(read_point_table(local), read_point_table(mapped), options)
     say = catalogue(spoken(language))
     with output_folder(output) as folder:
         figures = write_calibration(folder, made, say)

@@ -1,4 +1,4 @@
-"""Options of `photocal ppk` and `photocal exposures`."""
+"""Options of `photocal ppk`, `photocal exposures` and `photocal localise`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -109,3 +109,20 @@ class ExposureOptions(Options):
         """Refuse what is not an edge of a pulse."""
         if self.edge not in ("rising", "falling"):
             raise ConfigurationError(f"{self.edge!r} is not an edge", "rising or falling", where="--edge")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SiteOptions(Options):
+    """Scale, heights and points of a site calibration."""
+
+    crs: Annotated[str, Option("Map system of the second table, such as EPSG:31982.")]
+    scale: Annotated[str, Option("free, ground (metres on the ground), or a number: local over map.")] = (
+        "free"
+    )
+    level: Annotated[bool, Option("Estimate a shift of the heights, not a tilted plane.")] = False
+    without: Annotated[str, Option("Common points to leave out, separated by commas.")] = ""
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Names of the common points that take no part."""
+        return tuple(name.strip() for name in self.without.split(",") if name.strip())

@@ -14,6 +14,7 @@ from photocal.findings.document import KeyValues, Paragraph, Piece, Remarks, Sec
 from photocal.findings.texts import Catalogue
 from photocal.geometry.frames import GroundScale, ground_scale
 from photocal.geometry.localisation import CommonPoints, FittedPart, Localisation, localise
+from photocal.navigation.options import SiteOptions
 
 COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "role")
 REPORT, FIGURES = "localisation.md", "localisation.json"
@@ -66,17 +67,14 @@ def read_point_table(path: Path) -> PointTable:
     return PointTable(given.unique_names("point"), given.matrix("XYZ", empty=np.nan), sigma, role)
 
 
-def calibrate(
-    local: PointTable, mapped: PointTable, crs: str, left_out: tuple[str, ...] = (), scale: str = "free",
-    *, tilt: bool = True,
-) -> SiteCalibration:  # fmt: skip
+def calibrate(local: PointTable, mapped: PointTable, options: SiteOptions) -> SiteCalibration:
     """Fit a local system to the points that both tables name.
 
-    left_out: common points that take no part, and are shown all the same.
-    scale: "free", "ground" (a metre in the local system is one on the ground), or a number: local over map.
+    Common points that are left out take no part, and are shown all the same.
     raises ConfigurationError: for points that are not common, or a scale that is none of these.
     raises IllPosedError: for too few common points.
     """
+    left_out, scale = options.left_out, options.scale
     names = tuple(name for name in local.names if name in mapped.names)
     strangers = sorted(set(left_out) - set(names))
     if strangers:
@@ -89,7 +87,7 @@ def calibrate(
     common = _common(local, mapped, used)
     known = np.isfinite(common.map_m).all(axis=1)
     middle = (common.map_m[known] if known.any() else np.nan_to_num(common.map_m)).mean(axis=0)
-    factors = ground_scale(crs, middle[None])
+    factors = ground_scale(options.crs, middle[None])
     held = {"free": None, "ground": 1.0 / float(factors.combined[0])}
     try:
         value = held[scale] if scale in held else float(scale)
@@ -97,8 +95,8 @@ def calibrate(
         raise ConfigurationError(
             f"{scale!r} is not a scale", 'give "free", "ground" or a number such as 1.0', where="--scale"
         ) from refusal
-    fit = localise(common, value, tilt=tilt)
-    return SiteCalibration(crs, local, mapped, common, left_out, fit, factors)
+    fit = localise(common, value, tilt=not options.level)
+    return SiteCalibration(options.crs, local, mapped, common, left_out, fit, factors)
 
 
 def _common(local: PointTable, mapped: PointTable, names: tuple[str, ...]) -> CommonPoints:
