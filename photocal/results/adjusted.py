@@ -1,7 +1,8 @@
 """The result of an adjustment, made of the block, its network and the solution."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from photocal.adjustment.state import State, head_values, laser_values, lenses, 
 from photocal.adjustment.unknowns import XYZ
 from photocal.adjustment.variance_components import estimate_components, rays_by_camera, with_factors
 from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.base.files import output_folder
 from photocal.base.version import __version__
 from photocal.block.folder import read_block
@@ -465,7 +467,8 @@ def _adjusted_block(
 ) -> tuple[Result, NetworkOfBlock, Solution]:
     assembly = assemble(block)
     require_motion(block, assembly.network)
-    assembly, solution = adjusted(assembly, snooping, report)
+    with _control_in_doubt(block):
+        assembly, solution = adjusted(assembly, snooping, report)
     components: tuple[ComponentFactor, ...] = ()
     if wanted.components:
         weighed = estimate_components(assembly.network, rays_by_camera(assembly.network), report=report)
@@ -474,6 +477,18 @@ def _adjusted_block(
     result = result_of(block, assembly, solution, snooping=snooping, components=components)
     result = replace(result, **more_figures(block, assembly, result.points, wanted))
     return result, assembly, solution
+
+
+@contextmanager
+def _control_in_doubt(block: Block) -> Iterator[None]:
+    """Say of an adjustment that fails what may have bent it: control that is exchanged or far off."""
+    try:
+        yield
+    except (IllPosedError, NotConvergedError) as refusal:
+        if (block.points.role == ROLES.index("control")).any():
+            says = "`photocal check` on the block looks for control points that are wrong or exchanged"
+            refusal.remedy = "; ".join(filter(None, (refusal.remedy, says)))
+        raise
 
 
 def adjusted(

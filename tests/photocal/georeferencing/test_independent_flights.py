@@ -195,3 +195,13 @@ def test_both_commands_name_the_fault_and_nothing_else(name: str) -> None:
     assert [accused(fault, row, command) for command in ("check", "analyse")] == [[], []]
     first = [row.causes(command)[0] for command in ("check", "analyse")]
     assert (first[0].code, first[0].subject) == (first[1].code, first[1].subject)
+
+
+def test_a_block_that_exchanged_control_bends_is_told_where_to_look(tmp_path: Path) -> None:
+    """Two points 90 m apart with each other's names: no adjustment ends, and the check names the pair."""
+    fault = FAULTS["two control points swapped"]
+    block = flown(tmp_path, fault.design, 1, fault.errors)
+    with pytest.raises(photocal.PhotocalError, match=r"`photocal check` on the block looks for control"):
+        photocal.adjust(block)
+    (first, subject), *_ = found(photocal.check(block))
+    assert (first, subject) == ("control-exchanged", "co0 co1")
