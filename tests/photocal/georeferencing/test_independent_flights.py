@@ -198,7 +198,7 @@ def test_both_commands_name_the_fault_and_nothing_else(name: str) -> None:
 
 
 def test_a_block_that_exchanged_control_bends_is_told_where_to_look(tmp_path: Path) -> None:
-    """Two points 90 m apart with each other's names: no adjustment ends, and the check names the pair."""
+    """Two points 150 m apart with each other's names: no adjustment ends, and the check names the pair."""
     fault = FAULTS["two control points swapped"]
     block = flown(tmp_path, fault.design, 1, fault.errors)
     with pytest.raises(photocal.PhotocalError, match=r"`photocal check` on the block looks for control"):
