@@ -29,7 +29,7 @@ _PIECES = {
     "measurements": {
         "detecting features": 0.2,
         "matching pairs of images": 0.45,
-        "matching tie points precisely": 1.0,
+        "matching tie points precisely": 0.95,
     }
 }
 # Of a ray in the files of a block.
@@ -72,7 +72,7 @@ class Course:
         """Begin; `seen_s` of what is expected is what a run before took."""
         self._ahead, self._progress, self._clock = dict(expected_s), progress, clock
         self._began = self._stage_began = self._piece_began = clock()
-        self._stage, self._title, self._expected = "", "", 0.0
+        self._stage, self._title, self._expected, self._reached = "", "", 0.0, 0.0
         self._done, self._total = 0.0, float("nan")
         self._share = 0.0
         # What is seen of the pace is weighed against so many seconds as expected, and what a run before took.
@@ -87,6 +87,7 @@ class Course:
         self._stage, self._title, self._stage_began = stage, "", self._clock()
         self._expected = self._ahead.pop(stage, 0.0)
         self._done, self._total, self._piece_began = 0.0, math.nan, self._stage_began
+        self._reached = 0.0
 
     def revise(self, expected_s: Mapping[str, float]) -> None:
         """Expect otherwise of what has not begun: the run itself has told how much work there is."""
@@ -113,6 +114,7 @@ class Course:
                 self._done += amount
 
             yield advance
+        self._reached = _PIECES.get(self._stage, {}).get(title, self._reached)
 
     def _pace(self, more_s: float, more_meant_s: float) -> float:
         """Tell how many times as long as expected work takes here, with a stage that has not ended."""
@@ -122,7 +124,8 @@ class Course:
         """Tell how much of a stage whose pieces are known has been done; 0 where they are not."""
         pieces = _PIECES.get(self._stage, {})
         if self._title not in pieces:
-            return 0.0
+            # Some flights have further pieces, such as coded targets, between those that all have.
+            return self._reached
         ends = [0.0, *pieces.values()]
         at = list(pieces).index(self._title)
         return ends[at] + piece_share * (ends[at + 1] - ends[at])
