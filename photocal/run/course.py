@@ -120,16 +120,6 @@ class Course:
         """Tell how many times as long as expected work takes here, with a stage that has not ended."""
         return math.pow((self._took + more_s) / (self._meant + more_meant_s), self._trust)
 
-    def _stage_share(self, piece_share: float) -> float:
-        """Tell how much of a stage whose pieces are known has been done; 0 where they are not."""
-        pieces = _PIECES.get(self._stage, {})
-        if self._title not in pieces:
-            # Some flights have further pieces, such as coded targets, between those that all have.
-            return self._reached
-        ends = [0.0, *pieces.values()]
-        at = list(pieces).index(self._title)
-        return ends[at] + piece_share * (ends[at + 1] - ends[at])
-
     def standing(self) -> Standing:
         """Tell how far it is now."""
         now = self._clock()
@@ -139,10 +129,18 @@ class Course:
         piece_left = piece_s * (1.0 / share - 1.0) if known and share > 0.0 else None
         pace = self._pace(0.0, 0.0)
         left = pace * self._expected
-        if done := self._stage_share(share):
-            # Once a fifth of the stage is done, its own pace tells; until then more and more.
-            own = min(done / 0.2, 1.0)
-            left = own * stage_s * (1.0 / done - 1.0) + (1.0 - own) * max(left - stage_s, 0.0)
+        # Further pieces, such as coded targets, stand between those that every flight has.
+        end = (
+            self._reached
+            if piece_left is None
+            else _PIECES.get(self._stage, {}).get(self._title, self._reached)
+        )
+        if end:
+            # The piece at work ends by its own pace, those after it take their usual share. Until a fifth of
+            # the stage is done, what was expected counts as well.
+            then_s = stage_s + (piece_left or 0.0)
+            own = min((self._reached + share * (end - self._reached)) / 0.2, 1.0)
+            left = own * (then_s / end - stage_s) + (1.0 - own) * max(left - stage_s, 0.0)
         elif self._expected:
             # A stage that takes longer than expected has at least this share of what it took before it.
             overdue = 0.1
@@ -151,7 +149,7 @@ class Course:
             left = piece_left or 0.0
         if self._expected:
             # A stage that takes longer than expected tells of the pace before it ends.
-            pace = max(pace, self._pace(stage_s + (left if done else 0.0), self._expected))
+            pace = max(pace, self._pace(stage_s + (left if end else 0.0), self._expected))
         left += pace * sum(self._ahead.values())
         # What turns out to be longer stops the bar and does not turn it back.
         self._share = max(self._share, elapsed / (elapsed + left) if elapsed + left > 0.0 else 0.0)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import shutil
-import socket
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -18,6 +16,7 @@ from photocal.run.campaign import run_project
 from photocal.run.new_project import new_project
 from tests.conftest import Once
 from tests.photocal.desk.client import Client, opened
+from tests.photocal.desk.served import free_port, serving_at
 from tests.photocal.run.typed_site import site_folder
 
 # Names that would be code, if any page read them as HTML.
@@ -72,25 +71,10 @@ def window(home: Path, tmp_path: Path) -> Iterator[Client]:
 
 @pytest.fixture
 def port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    return free_port()
 
 
 @pytest.fixture
 def serve(port: int) -> Iterator[Callable[[Path], subprocess.Popen[str]]]:
-    running: list[subprocess.Popen[str]] = []
-
-    def start(folder: Path) -> subprocess.Popen[str]:
-        arguments = ["desk", folder, "--address", f"127.0.0.1:{port}"]
-        command = [sys.executable, "-m", "photocal", *map(str, arguments)]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        running.append(process)
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith(f"open http://127.0.0.1:{port}/ ")
-        return process
-
-    yield start
-    for process in running:
-        process.kill()
-        process.communicate()
+    with serving_at(port) as start:
+        yield lambda folder: start("desk", folder)

@@ -22,6 +22,7 @@ from photocal.base.web import Address, serving
 from photocal.desk.standing import marking_application
 from photocal.measurement.marking.store import MarkStore, scene_of_folder
 from photocal.measurement.marks import read_marks
+from tests.photocal.desk.served import free_port, serving_at
 from tests.photocal.desk.watch import serious, watched
 from tests.photocal.measurement.marking.conftest import IMAGES, POINTS, Survey
 
@@ -55,9 +56,7 @@ def mine(flown: Survey, tmp_path_factory: pytest.TempPathFactory) -> Survey:
 
 @pytest.fixture(scope="module")
 def port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    return free_port()
 
 
 @pytest.fixture
@@ -81,23 +80,16 @@ def serve_mark(tmp_path: Path) -> Iterator[Callable[..., str]]:
 @pytest.fixture(scope="module")
 def serve(mine: Survey, port: int) -> Iterator[Serve]:
     running: list[subprocess.Popen[str]] = []
+    with serving_at(port) as start:
 
-    def start() -> subprocess.Popen[str]:
-        for process in running:
-            process.kill()
-            process.wait()
-        arguments = ["mark", mine.file, "--address", f"127.0.0.1:{port}", "--cache", mine.folder / "cache"]
-        command = [sys.executable, "-c", COMMAND, *map(str, arguments)]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        running.append(process)
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith(f"open http://127.0.0.1:{port}/ ")
-        return process
+        def anew() -> subprocess.Popen[str]:
+            for process in running:
+                process.kill()
+                process.wait()
+            running.append(start("mark", mine.file, "--cache", mine.folder / "cache"))
+            return running[-1]
 
-    yield start
-    for process in running:
-        process.kill()
-        process.communicate()
+        yield anew
 
 
 def opened(page: Page, port: int) -> list[str]:
