@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from pathlib import Path
@@ -22,6 +22,7 @@ from numba.extending import intrinsic
 from photocal.base.errors import OutputError, ProgramMissingError
 from photocal.base.extensions import LENSES, sources
 from photocal.base.operating_system import cache_folder, lock, private_folder
+from photocal.base.progress import Progress
 
 PACKAGE = Path(__file__).resolve().parents[1]
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -85,9 +86,36 @@ def compile_all() -> None:
         "photocal.measurement.patch_kernel as part; part.compile_kernels()",
         "drivers.scan as part; part.compile_search()",
     )
-    running = [subprocess.Popen([sys.executable, "-c", f"import {part}"]) for part in parts]  # noqa: S603
-    if sum(abs(part.wait()) for part in running):
+    if not _side_by_side(parts):
         raise ProgramMissingError("the kernels cannot be compiled", "run: photocal doctor")
+
+
+def anything_compiled() -> bool:
+    """Whether a process has compiled kernels of this source here before."""
+    return any(FOLDER.rglob("*.nbi"))
+
+
+def compile_most_used(progress: Progress) -> None:
+    """Compile what nearly every run needs, in processes side by side, and show how far that is."""
+    parts = (
+        "photocal.adjustment.compile as part; part.compile_usual()",
+        "photocal.adjustment.compile as part; part.compile_ahead()",
+        "photocal.measurement.patch_kernel as part; part.compile_kernels()",
+    )
+    with progress("compiling, once after installation", None):
+        # What fails here is compiled where it is needed, and fails there with its reason.
+        _side_by_side(parts, stderr=subprocess.DEVNULL)
+
+
+def _side_by_side(parts: Sequence[str], stderr: int | None = None) -> bool:
+    """Run parts of the compilation, each in a process of its own; whether all went well."""
+    commands = ([sys.executable, "-c", f"import {part}"] for part in parts)
+    running = [subprocess.Popen(command, stderr=stderr) for command in commands]  # noqa: S603
+    try:
+        return not sum(abs(part.wait()) for part in running)
+    finally:
+        for part in running:
+            part.kill()
 
 
 def compile_ahead() -> None:
@@ -95,7 +123,7 @@ def compile_ahead() -> None:
 
     Of many commands that begin at once, one does; what it began goes on when that command ends.
     """
-    if any(FOLDER.rglob("*.nbi")):
+    if anything_compiled():
         return
     with (FOLDER / AHEAD).open("ab+") as taken:
         if not lock(taken):

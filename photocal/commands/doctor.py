@@ -117,13 +117,13 @@ def _packages(say: "Catalogue") -> Found:
 
 
 def _kernels(say: "Catalogue") -> Found:
-    from photocal.base.compiled import FOLDER, PACKAGE
+    from photocal.base.compiled import FOLDER, PACKAGE, anything_compiled
     from photocal.base.operating_system import cache_folder
 
     if not any(parent in (PACKAGE, cache_folder()) for parent in FOLDER.parents):
         remedy = say("doctor.kernels_writable", folder=cache_folder())
         return "poor", say("doctor.kernels_lost", folder=FOLDER), remedy
-    if not any(FOLDER.rglob("*.nbi")):
+    if not anything_compiled():
         return "poor", say("doctor.kernels_none"), say("doctor.kernels_compile")
     return "good", say("doctor.kernels", folder=FOLDER), ""
 

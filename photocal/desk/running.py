@@ -18,10 +18,6 @@ from photocal.project import Project
 from photocal.run.output_place import STAGES
 from photocal.run.stage import RECORD, made_in
 
-# Of the whole time, what each stage takes in ordinary flights, where none was ever made: in parts.
-_WEIGHTS = {"ppk": 8, "exposures": 2, "measurements": 60, "block": 2, "calibration": 6, "flown": 2}
-_WEIGHTS |= {"georeferencing": 30, "analysis": 50, "certificate": 2}
-
 
 def routes(desk: Desk) -> list[BaseRoute]:
     """Return what answers for the step Run."""
@@ -60,7 +56,7 @@ def state(desk: Desk) -> dict[str, Any]:
     return {
         **told,
         "stages": [*_stages(work, names, said, job)],
-        "progress": {key: progress.get(key) for key in ("title", "share", "left_s", "elapsed_s")} or None,
+        "progress": {key: progress.get(key) for key in ("title", "share", "left_s", "run")},
         "verdict": None if job["state"] == "busy" or issued is None else issued["verdict"],
     }
 
@@ -68,7 +64,7 @@ def state(desk: Desk) -> dict[str, Any]:
 def _stages(
     work: Path, names: list[str], said: Mapping[str, str], job: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Each stage: made, kept, at work or to come; its time by the record, and its part of the whole."""
+    """Each stage: made, kept, at work or to come; and its time by the record."""
     found = []
     for name in names:
         record = kept(made_in(work) / name / RECORD)
@@ -78,17 +74,8 @@ def _stages(
         if job["state"] == "busy" and not now:
             begun = all(before in said for before in names[: names.index(name)])
             state = "busy" if begun else "waits"
-        weight = float(seconds) if seconds else float(_WEIGHTS.get(name, 2))
-        stage = {"name": name, "ours": name in STAGES, "state": state}
-        since = _begun(work, said, job) if state == "busy" else None
-        found.append({**stage, "seconds": seconds, "weight": weight, "since": since})
+        found.append({"name": name, "ours": name in STAGES, "state": state, "seconds": seconds})
     return found
-
-
-def _begun(work: Path, said: Mapping[str, str], job: Mapping[str, Any]) -> float:
-    """When the stage at work began: with the run, or with the end of what was made last."""
-    records = [made_in(work) / name / RECORD for name in said]
-    return max([float(job["began"]), *(path.stat().st_mtime for path in records if path.is_file())])
 
 
 def told_stages(log: str, names: list[str]) -> dict[str, str]:

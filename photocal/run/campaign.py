@@ -18,7 +18,16 @@ from photocal.project import Project, read_project
 from photocal.run.block import block_stage, given_block_stage
 from photocal.run.calibration import analysis_stage, calibration_stage, certificate_stage
 from photocal.run.control import control_stage
-from photocal.run.course import RAYS_OF_A_PICTURE, Course, Workload, about_rays, expected, followed, into
+from photocal.run.course import (
+    COMPILING,
+    RAYS_OF_A_PICTURE,
+    Course,
+    Workload,
+    about_rays,
+    expected,
+    followed,
+    into,
+)
 from photocal.run.exposures import exposures_stage
 from photocal.run.flown import flown_stage
 from photocal.run.georeferencing import georeferencing_stage
@@ -124,6 +133,8 @@ def run_project(
         digests = Digests(project.output / _MEMORY, again=rehash)
         due = foreseen(wanted, project.output, digests, again)
         course.revise({name: 0.0 for name in names if name not in due})
+        if due:
+            _compile_first(course)
         made: list[StageResult] = []
         missing: set[Path] = set()
         failure: PhotocalError | None = None
@@ -153,6 +164,17 @@ def run_project(
     if failure is not None:
         raise explained(project, failure) from failure
     return tuple(made)
+
+
+def _compile_first(course: Course) -> None:
+    """Compile the kernels where the program has just been installed, so that no stage waits for it unsaid."""
+    from photocal.base.compiled import anything_compiled, compile_most_used
+
+    if anything_compiled():
+        return
+    course.begin(COMPILING, expected({}, (COMPILING,), (0.0, 0.0, 0.0))[COMPILING])
+    compile_most_used(course.progress)
+    course.end(kept=False)
 
 
 def _size(project: Project, stages: Sequence[Stage]) -> Workload:

@@ -11,8 +11,11 @@ from photocal.base.errors import OutputError
 from photocal.base.files import output_file, write_json
 from photocal.base.progress import Progress, Standing
 
+# What stands before the stages where the program has just been installed.
+COMPILING = "compiling"
 # Seconds that a stage takes at first, for each picture, each megapixel and each thousand rays, on two cores.
 _USUAL = {
+    COMPILING: (20.0, 0.0, 0.0, 0.0),
     "ppk": (10.0, 0.0, 0.0, 0.0),
     "exposures": (1.0, 0.01, 0.0, 0.0),
     "measurements": (5.0, 0.1, 0.13, 0.0),
@@ -82,10 +85,10 @@ class Course:
         # times as long, half is held against those after it. What a run before took is another matter.
         self._trust = 1.0 if seen_s else 0.5
 
-    def begin(self, stage: str) -> None:
-        """Begin with a stage."""
+    def begin(self, stage: str, expected_s: float = 0.0) -> None:
+        """Begin with a stage; `expected_s` is of one that was not expected."""
         self._stage, self._title, self._stage_began = stage, "", self._clock()
-        self._expected = self._ahead.pop(stage, 0.0)
+        self._expected = self._ahead.pop(stage, expected_s)
         self._done, self._total, self._piece_began = 0.0, math.nan, self._stage_began
         self._reached = 0.0
 

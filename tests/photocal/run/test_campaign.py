@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import datetime as dt
 import shutil
+import subprocess
+import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from photocal.base import compiled
 from photocal.base.errors import InputNotFoundError
-from photocal.run.campaign import run_projects
+from photocal.base.progress import Standing, quiet
+from photocal.project import read_project
+from photocal.run.campaign import run_project, run_projects
+from photocal.run.course import COMPILING
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
@@ -79,6 +86,40 @@ def test_one_that_fails_stops_no_other(
     with pytest.raises(InputNotFoundError, match=r"block\.toml"):
         run_projects(paths, DAY, until="calibration", cluster=address if elsewhere else None)
     assert (tmp_path / "june" / "work" / "calibration" / "result.json").exists()
+
+
+def test_what_compiles_after_an_installation_is_told(
+    flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody waits for the compiler without knowing it; a run that finds all it needs compiles nothing."""
+    begun = list[str]()
+    told = list[Standing]()
+
+    class Begun:
+        def __init__(self, command: list[str], **_: Any) -> None:
+            begun.append(command[-1])
+
+        def wait(self) -> int:
+            # The bar is told once a second.
+            time.sleep(1.5)
+            return 0
+
+        def kill(self) -> None:
+            pass
+
+    project = Path(shutil.copytree(flown / "may", tmp_path / "may")) / "project.toml"
+    monkeypatch.setattr(compiled, "anything_compiled", lambda: False)
+    monkeypatch.setattr(subprocess, "Popen", Begun)
+    run_project(read_project(project), DAY, quiet, until="block", bar=lambda: nullcontext(told.append))
+    assert len(begun) == 3
+    for command in begun:
+        compile(command, "part", "exec")
+    while_compiling = [now for now in told if now.stage == COMPILING]
+    assert while_compiling[-1].title.startswith("compiling")
+    assert while_compiling[-1].left_s > 5.0
+    # The second time all is kept, and nothing is compiled for it.
+    run_project(read_project(project), DAY, quiet, until="block")
+    assert len(begun) == 3
 
 
 def test_names_of_files_do_not_steer_the_terminal(

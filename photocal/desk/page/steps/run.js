@@ -86,32 +86,15 @@ export async function mount(element, context) {
       h("a.button", { href: "#/look" }, say("run.look")), " ", h("a.button", { href: "#/certificate" }, say("run.certificate")));
   }
 
-  // Share of the whole: by what each stage took last time, or takes in ordinary flights.
-  function total({ stages, progress }) {
-    const whole = stages.reduce((sum, stage) => sum + stage.weight, 0);
-    if (!whole) return 0;
-    const done = stages.reduce((sum, stage) => {
-      if (STATES[stage.state] === "good") return sum + stage.weight;
-      return stage.state === "busy" ? sum + stage.weight * within(stage, progress) : sum;
-    }, 0);
-    return done / whole;
+  // Share of the whole: as the run tells while it works, else how many of its stages are made.
+  function total({ job, stages, progress }) {
+    if (job.state === "busy") return progress?.run?.share ?? 0;
+    return stages.filter((stage) => STATES[stage.state] === "good").length / (stages.length || 1);
   }
 
-  // A stage has several pieces of work, each with its own share: what it took last time tells more.
-  function within(stage, progress) {
-    if (stage.seconds && stage.since) return Math.min(0.95, (Date.now() / 1000 - stage.since) / stage.seconds);
-    return Math.min(0.95, 0.5 * (progress?.share ?? 0));
-  }
-
-  function left(state) {
-    const rest = state.stages.reduce((sum, stage) => {
-      if (STATES[stage.state] === "good") return sum;
-      if (!stage.seconds) return NaN;
-      return sum + stage.seconds * (stage.state === "busy" ? 1 - within(stage, state.progress) : 1);
-    }, 0);
-    if (Number.isFinite(rest)) return say("run.left", { time: clock(rest) });
-    const own = state.progress?.left_s;
-    return own === null || own === undefined ? "" : say("run.left-here", { time: clock(own) });
+  function left({ progress }) {
+    const seconds = progress?.run?.left_s;
+    return seconds === null || seconds === undefined ? "" : say("run.left", { time: clock(seconds) });
   }
 
   function drawBars(state) {
