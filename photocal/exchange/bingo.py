@@ -5,6 +5,7 @@ measured. The camera's name ends with width and height of its sensor (`H_35.9_24
 line: that of a large project has millions of rays.
 """
 
+import math
 import re
 from array import array
 from collections.abc import Callable, Iterator, Sequence
@@ -40,12 +41,16 @@ def read_bingo(
         cells = text.split()
         if cells[0] == "-99":
             image = -1
-        elif len(cells) >= 3 and _are_numbers(cells[-2:]):
+        elif len(cells) >= 3 and (measured := _two_numbers(cells)) is not None:
             if image < 0:
                 continue
+            if "_" in cells[-2] or "_" in cells[-1]:
+                # Python would take them for separators of thousands.
+                raise Line(path, at, text).malformed(
+                    f"{' '.join(cells[-2:])!r} are no coordinates", "correct them"
+                )
             point = number_of.setdefault(" ".join(cells[:-2]), len(number_of))
-            x, y = (number(cell, Line(path, at, text).place, "x, y") for cell in cells[-2:])
-            column, row = x / pitch[0], y / pitch[1]
+            column, row = measured[0] / pitch[0], measured[1] / pitch[1]
             if abs(column) > far * (middle[0] + 1) or abs(row) > far * (middle[1] + 1):
                 outside += 1
             elif point not in seen[image]:
@@ -144,8 +149,11 @@ def _pitch(
     )
 
 
-def _are_numbers(cells: Sequence[str]) -> bool:
+def _two_numbers(cells: Sequence[str]) -> tuple[float, float] | None:
+    """Measurement at the end of a line: x and y; None where no two finite numbers stand there."""
     try:
-        return all(np.isfinite(float(cell)) for cell in cells)
+        x, y = float(cells[-2]), float(cells[-1])
     except ValueError:
-        return False
+        return None
+    # Not every sum of finite numbers is finite, and no measurement is as large.
+    return (x, y) if math.isfinite(x + y) else None

@@ -54,6 +54,11 @@ def within(pattern: str, how: Callable[[bytes], bytes]) -> Change:
     return change
 
 
+def underscores(text: bytes) -> bytes:
+    """Digits set apart by underscores, which are no decimal numbers to a surveyor."""
+    return re.sub(rb"(\d)\.(\d)", rb"\1_0.\2", text)
+
+
 def gone(*patterns: str) -> Change:
     """Delete some files."""
 
@@ -129,6 +134,7 @@ REFUSED = {
     "cameras": (within("*calibrated_camera_parameters.txt", commas), "decimal comma"),
     "offset": (within("*offset.xyz", commas), "decimal comma"),
     "rays": (within("*tp_bingo.txt", commas), "decimal comma"),
+    "rays with underscores": (within("*tp_bingo.txt", underscores), "no coordinates"),
     "errors": (within("*error.txt", commas), "decimal point"),
     "control": (within("*measured_estimated*", commas), "decimal point"),
     "nothing tells the offset": (gone("*offset.xyz", EXTERNAL), "no ..._offset.xyz"),
