@@ -379,7 +379,10 @@ def test_verdict_and_debrief_are_said_in_the_language_of_the_window(
     def told(language: str) -> tuple[str, str, str, str]:
         good(window.post("/api/language", {"language": language}))
         flown = good(window.get("/api/check")).json["debrief"]
-        issued = good(window.get("/api/certificate")).json["issued"]["verdict"]
+        certificate = good(window.get("/api/certificate")).json
+        # What is offered for the certificate, until a language is chosen.
+        assert certificate["language"] == language
+        issued = certificate["issued"]["verdict"]
         of_run = good(window.get("/api/run")).json["verdict"]
         assert of_run == issued
         return of_run["paragraph"], " ".join(of_run["said"]), flown["verdict"]["text"], flown["summary"][0]
