@@ -400,6 +400,18 @@ def test_verdict_and_debrief_are_said_in_the_language_of_the_window(
     assert window.post("/api/language", {"language": "xx"}).status == 422
 
 
+def test_refusals_are_in_the_language_of_the_page(window: Client) -> None:
+    english = window.post("/api/open", {"path": "nowhere"}).json["error"]
+    assert english.endswith("; choose from the list")
+    good(window.post("/api/language", {"language": "pt-BR"}))
+    assert window.post("/api/open", {"path": "nowhere"}).json["error"].endswith("; escolha da lista")
+    # A field knows its error, whichever language says it.
+    good(window.post("/api/open", {"path": "site"}))
+    form = good(window.post("/api/new", {})).json["form"]
+    assert form["problem"]["field"] == "project.height"
+    assert "ainda está por preencher" in form["problem"]["text"]
+
+
 def verified(window: Client, octets: bytes) -> dict[str, Any]:
     answer = good(window.ask("/api/verify", "POST", octets, {"content-type": "application/zip"}))
     return dict(answer.json)
