@@ -45,8 +45,7 @@ def held(page: Page, pattern: str) -> Iterator[list[Route]]:
     """Requests that wait while the block runs, and are answered afterwards."""
     waiting: list[Route] = []
     page.route(pattern, lambda route: waiting.append(route))
-    with page.expect_request(pattern):
-        yield waiting
+    yield waiting
     for request in waiting:
         request.continue_()
     page.unroute(pattern)
@@ -78,8 +77,8 @@ def test_look_waits_for_its_styles(page: Page) -> None:
 )
 def test_a_late_answer_is_not_drawn_into_the_place_that_followed(page: Page, place: str, asked: str) -> None:
     with held(page, f"**/api/{asked}") as waiting:
-        go(page, place)
-        page.wait_for_timeout(500)
+        with page.expect_request(f"**/api/{asked}"):
+            go(page, place)
         go(page, "record")
         expect(page.locator("main h1")).to_be_visible()
         page.wait_for_timeout(200)
