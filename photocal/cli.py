@@ -1,5 +1,8 @@
 """The command `photocal`: a list of its commands; the module of each is imported when it is asked for."""
 
+import sys
+from itertools import pairwise
+
 from photocal.base.console import application
 from photocal.base.console import run as run_application
 
@@ -45,4 +48,17 @@ app = application(
 
 def main() -> None:
     """Run the command line."""
-    run_application(app)
+    run_application(app, refused)
+
+
+def refused(line: str) -> str:
+    """Say a refusal in the language that was asked for, else in that of the environment.
+
+    Programs, which ask for JSON, are told in English.
+    """
+    from photocal.findings.texts import LANGUAGES, catalogue, spoken
+
+    words = " ".join(sys.argv[1:]).replace("=", " ").split()
+    asked = [after for word, after in pairwise(words) if word in ("--lang", "--language")]
+    language = asked[-1] if asked else "en" if "--json" in words else spoken()
+    return catalogue(language if language in LANGUAGES else "en").refused(line)

@@ -292,13 +292,17 @@ class LeaveOutKeys(Table):
 
 
 class CertificateKeys(Table):
-    """`[certificate]`: what only people know, the `plan.json` that was flown, and the language."""
+    """`[certificate]`: what only people know, the `plan.json` that was flown, and the language.
+
+    English where no language is given: a project has one certificate, whoever runs it. `photocal new`
+    writes the language in which it was asked.
+    """
 
     particulars: Beside | None = None
     plan: Beside | None = None
     client: str = ""
     operator: str = ""
-    language: Literal["en", "pt-BR"] = "en"
+    language: Literal["en", "pt-BR"] | None = None
 
 
 class Contents(Table):

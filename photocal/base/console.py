@@ -229,14 +229,17 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else " " if category(c) == "Zs" else "·" for c in text)
 
 
-def run(app: Callable[..., Any]) -> None:
-    """Run an application; failures that we know become one line and their exit code."""
+def run(app: Callable[..., Any], said: Callable[[str], str] = str) -> None:
+    """Run an application; failures that we know become one line and their exit code.
+
+    said: how that line reads in the language of the person.
+    """
     # At its end the interpreter would look at every object for half a second; nothing is left to be freed.
     atexit.register(gc.freeze)
     try:
         app()
     except PhotocalError as failure:
-        _end(failure)
+        _end(failure, said)
     except ModuleNotFoundError as missing:
         name = (missing.name or "").partition(".")[0]
         if name in ("acquire", "drivers", "photocal", ""):
@@ -249,22 +252,22 @@ def run(app: Callable[..., Any]) -> None:
         sys.stderr.close()
         sys.exit(0)
     except OSError as refusal:
-        _end(of_system(refusal))
+        _end(of_system(refusal), said)
     except UnicodeEncodeError as failure:
         name = failure.object[:80].encode("utf-8", "backslashreplace").decode()
         what = f"a name is not in UTF-8, the encoding of names ({name})"
-        _end(InputMalformedError(what, "rename the file or folder"))
+        _end(InputMalformedError(what, "rename the file or folder"), said)
 
 
-def _end(failure: PhotocalError) -> NoReturn:
+def _end(failure: PhotocalError, said: Callable[[str], str]) -> NoReturn:
     """Say in one line, and by the exit code, what went wrong."""
-    sys.stderr.write(error_lines(failure))
+    sys.stderr.write(error_lines(failure, said))
     sys.exit(failure.exit_code)
 
 
-def error_lines(failure: PhotocalError) -> str:
+def error_lines(failure: PhotocalError, said: Callable[[str], str] = str) -> str:
     """Return what is said of a failure: one line, and its details below."""
-    lines = (f"error: {failure}", *map("  ".__add__, failure.details))
+    lines = (said(f"error: {failure}"), *map("  ".__add__, failure.details))
     return "".join(f"{printable(line)}\n" for line in lines)
 
 

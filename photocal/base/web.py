@@ -443,7 +443,15 @@ async def short_body(request: Request, longest: int) -> bytes:
     return bytes(body)
 
 
-async def refusal(_: Request, failure: Exception) -> Response:
-    """Answer with a failure that we know, in the words of the command line."""
-    status = 404 if isinstance(failure, InputNotFoundError) else 422
-    return JSONResponse({"error": str(failure)}, status)
+def refusing(said: Callable[[str], str]) -> Callable[[Request, Exception], Response]:
+    """Return what answers with a failure that we know.
+
+    said: gives the words of the command line in the language of the page.
+    """
+
+    def refuse(_: Request, failure: Exception) -> Response:
+        """Answer with it."""
+        status = 404 if isinstance(failure, InputNotFoundError) else 422
+        return JSONResponse({"error": said(str(failure))}, status)
+
+    return refuse

@@ -12,7 +12,8 @@ from photocal.base.errors import PhotocalError
 from photocal.base.files import digest
 from photocal.base.policy import policy
 from photocal.base.progress import Progress
-from photocal.findings.finding import Finding, untested
+from photocal.findings.digits import with_sigma
+from photocal.findings.finding import Figure, Finding, untested
 from photocal.geometry.camera import Camera, held_camera
 from photocal.measurement.features import Arrays, FeatureSettings, cached, combined_key, detect
 from photocal.measurement.image_facts import ImageFacts, read_facts
@@ -247,23 +248,27 @@ def quick_findings(
     if len(out) > may_stay * len(facts):
         figures = {"n": float(len(out)), "all": float(len(facts)), "images": out}
         findings.append(Finding("pictures-left-out", "doubtful", figures=figures))
-    return quick, findings + [_since(camera, last) for camera in quick.cameras if last]
+    return quick, findings + [since_certificate(camera, last) for camera in quick.cameras if last]
 
 
-def _since(quick_camera: dict[str, Any], last: Sequence[Camera]) -> Finding:
-    """Principal distance since the last certificate, whose camera the pictures were oriented with."""
+def since_certificate(quick_camera: dict[str, Any], last: Sequence[Camera]) -> Finding:
+    """Tell whether c has changed since the last certificate, whose camera the pictures were oriented with."""
     released, unit = quick_camera["released"], quick_camera["unit"]
     if released is None or not released["credible"]:
         return untested("c-changed", "c-not-determined", {"camera": quick_camera["camera"]})
     c = float(released["c"] / (1.0 + released["change"]))
     before = min(last, key=lambda camera: abs(camera.value("c") - c))
-    both = float(np.hypot(before.sigma_of("c"), released["sigma"]))
+    before_sigma = before.sigma_of("c")
+    both = float(np.hypot(before_sigma, released["sigma"]))
     away = float(released["c"]) - c
-    figures = {
+    figures: dict[str, Figure] = {
         "camera": quick_camera["camera"],
         "c": float(released["c"]),
         "sigma": float(released["sigma"]),
         "before": c,
+        "numbers": (with_sigma(released["c"], released["sigma"]),),
+        # A principal distance that was held has no standard deviation.
+        "stated": (with_sigma(c, before_sigma) if before_sigma > 0.0 else f"{c:g}",),
         "unit": unit,
         "percent": 100.0 * away / c,
         "sigmas": abs(away) / both,

@@ -186,6 +186,8 @@ def state(desk: Desk) -> dict[str, Any]:
         "fields": fields(given.particulars, told_conditions(pictures(desk))),
         "file": desk.named(_file(desk, project)),
         **given.model_dump(include={*_KEYS}),
+        # The page's, until one is chosen.
+        "language": given.language or desk.language,
         "key": None if key is None else {"name": key.name, "fingerprint": key.fingerprint},
         "issued": issued_as(folder, desk.language),
         "lines": {

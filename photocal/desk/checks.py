@@ -36,7 +36,7 @@ def state(desk: Desk) -> dict[str, Any]:
         "debrief": debrief(desk),
         "job": job,
         "running": desk.job(RUN).state()["state"] == "busy",
-        "error": with_field(job["error"]),
+        "error": with_field(job["error"], desk.language),
         "lines": {"doctor": desk.line(_doctor(desk)), "debrief": desk.line(["debrief", desk.folder])},
     }
 
@@ -64,7 +64,7 @@ def _check(desk: Desk) -> dict[str, Any]:
     try:
         check_project(desk.project())
     except PhotocalError as refusal:
-        content["problem"] = with_field(str(refusal).removeprefix(f"{desk.file}: "))
+        content["problem"] = with_field(str(refusal).removeprefix(f"{desk.file}: "), desk.language)
     (desk.folder / FOLDER).mkdir(exist_ok=True)
     with desk.lock, output_file(desk.folder / FOLDER / _KEPT) as aside:
         aside.write_text(json.dumps(content), encoding="utf-8")

@@ -87,7 +87,7 @@ def _open(desk: Desk, path: Annotated[str, Field(max_length=4000)]) -> dict[str,
 
 def project(desk: Desk) -> dict[str, Any]:
     """What is known of the folder that is open: its project file as a form, and what `new` has said."""
-    form = project_file.shown(desk.file) if desk.file.is_file() else None
+    form = project_file.shown(desk.file, desk.language) if desk.file.is_file() else None
     told = said(desk)
     # What marks may mean is seen in the pictures, in any language.
     seen = {key: (told or {}).get(key) for key in ("frames", "marks")}

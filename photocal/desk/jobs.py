@@ -7,6 +7,7 @@ What the window does is done by the very commands that it shows. A long one writ
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -24,7 +25,7 @@ FOLDER = ".desk"
 # The long ones, by name; one at a time works in the folder of a project.
 RUN, DEBRIEF = "run", "debrief"
 _PROGRAM = (sys.executable, "-P", "-m", "photocal")
-_ERROR = "error: "
+_ERROR = re.compile("erro?r?: ")
 
 
 def asked(arguments: Sequence[str | Path], environment: Mapping[str, str] | None = None) -> Any:
@@ -51,10 +52,10 @@ def asked(arguments: Sequence[str | Path], environment: Mapping[str, str] | None
 def error_of(log: str) -> str:
     """Last error that a command has said."""
     lines = log.splitlines()
-    last = [k for k, said in enumerate(lines) if said.startswith(_ERROR)][-1:]
+    last = [k for k, said in enumerate(lines) if _ERROR.match(said)][-1:]
     if last:
         details = [said.strip() for said in lines[last[0] + 1 :] if said.startswith("  ")]
-        return "\n".join([lines[last[0]].removeprefix(_ERROR), *details])
+        return "\n".join([_ERROR.sub("", lines[last[0]], count=1), *details])
     if "Traceback (most recent call last)" in log:
         return lines[-1]
     return ""

@@ -15,6 +15,7 @@ from photocal.base.codec import toml_document
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.base.files import output_file
 from photocal.block.model import ROLES
+from photocal.findings.texts import catalogue
 from photocal.project import ASKED, Contents
 
 # Tables of points that are no larger than this are shown point by point.
@@ -45,14 +46,16 @@ FIELDS = (
     FormField("certificate.operator", "text"),
     FormField("certificate.language", "choice", ("en", "pt-BR")),
 )
-# Which words of an error belong to which field, the surer ones first.
+# Which words of an error, in either language, belong to which field, the surer ones first.
 _MENDS = (
     ("project.height", r"\bheight =|heights? (?:are|is|of the kind)|\bheight\b.*(?:filled in|ellipsoidal)"),
+    ("project.height", r"altitudes (?:são|do tipo)|\bheight\b.*por preencher"),
     ("project.crs", r"\bcrs\b|\bgrid\b|fetch-grids|\bzone\b|coordinate system|reference system|EPSG"),
+    ("project.crs", r"\bgrade\b|\bfuso\b|sistema de coordenadas"),
     ("rig.camera_to_antenna_m", r"camera_to_antenna"),
     ("images.position_sigma_m", r"position_sigma_m"),
     ("flight.base_position", r"base_position|base station"),
-    ("points", r"control point|check point|\bcontrol\b|\[control\]"),
+    ("points", r"control point|check point|pontos? de (?:apoio|verificação)|\bcontrol\b|\[control\]"),
     ("certificate.particulars", r"particulars"),
 )
 
@@ -62,13 +65,13 @@ def field_of(error: str) -> str:
     return next((key for key, words in _MENDS if re.search(words, error)), "")
 
 
-def with_field(error: str) -> dict[str, str] | None:
-    """Give an error with the field that it speaks of; None without an error."""
-    return {"text": error, "field": field_of(error)} if error else None
+def with_field(error: str, language: str = "en") -> dict[str, str] | None:
+    """Give an error in a language, with the field that it speaks of; None without an error."""
+    return {"text": catalogue(language).refused(error), "field": field_of(error)} if error else None
 
 
-def shown(path: Path) -> dict[str, Any]:
-    """Fields of a project file with their values and comments, and what is wrong with it."""
+def shown(path: Path, language: str = "en") -> dict[str, Any]:
+    """Fields of a project file with their values and comments, and what is wrong with it, in a language."""
     document = toml_document(path)
     problem = ""
     try:
@@ -77,7 +80,7 @@ def shown(path: Path) -> dict[str, Any]:
         problem = str(refusal).removeprefix(f"{path}: ")
     return {
         "fields": [*_fields(document)],
-        "problem": with_field(problem),
+        "problem": with_field(problem, language),
         "text": tomlkit.dumps(document),
     }
 

@@ -36,7 +36,7 @@ def state(desk: Desk) -> dict[str, Any]:
     job = desk.job(RUN).state()
     told: dict[str, Any] = {
         "job": job,
-        "error": with_field(job["error"]),
+        "error": with_field(job["error"], desk.language),
         "line": desk.line(["run", desk.folder]),
         "stages": [],
         "progress": None,
@@ -47,7 +47,7 @@ def state(desk: Desk) -> dict[str, Any]:
         project = desk.project()
         listed = stages(project, dt.datetime.now().astimezone().date())
     except (PhotocalError, OSError) as refusal:
-        return {**told, "error": told["error"] or with_field(str(refusal))}
+        return {**told, "error": told["error"] or with_field(str(refusal), desk.language)}
     work = project.output
     progress = kept(work / PROGRESS) if job["state"] == "busy" else {}
     names = [stage.name for stage in listed]

@@ -4,6 +4,7 @@ The window: its page, its libraries, and the answers of each step.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from starlette.applications import Starlette
 from starlette.routing import BaseRoute
 
 from photocal.base.errors import PhotocalError
-from photocal.base.web import calling, doing, folder_of, refusal, telling
+from photocal.base.web import calling, doing, folder_of, refusing, telling
 from photocal.desk import certificate, checks, folder, look, marking, record, running, tiles
 from photocal.desk.jobs import RUN
 from photocal.desk.session import Desk
@@ -95,7 +96,7 @@ def application(root: Path, cache: Path, place: str = "", run: Path | None = Non
     opens = {"next": place} if place else {}
     return _served(
         lambda: shown(desk) | opens,
-        calling(_speak, desk),
+        desk,
         *(route for step in _STEPS for route in step(desk)),
         *look.routes(desk, pictures),
         *marking.routes(marked, marked.place),
@@ -110,32 +111,33 @@ def marking_application(scene: Scene, store: MarkStore, cache: Path) -> Starlett
     told = here | {"steps": {"mark": _as("none", "")}, "line": ""}
     return _served(
         lambda: told,
-        calling(_spoken),
+        _Reader(),
         *marking.routes(lambda: service, service.project),
         tiles.route(lambda: scene.pictures, cache, lambda: True),
     )
 
 
-def _served(
-    told: Callable[[], dict[str, Any]], speak: Callable[[bytes], Any], *answers: BaseRoute
-) -> Starlette:
+def _served(told: Callable[[], dict[str, Any]], reader: "Desk | _Reader", *answers: BaseRoute) -> Starlette:
     """The page, its libraries, how it stands, and what answers it."""
     return Starlette(
         routes=[
             *folder_of("photocal.desk", "page"),
             *folder_of("photocal.desk", "vendor", "/vendor/"),
             telling("/api/desk", told),
-            doing("/api/language", speak),
+            doing("/api/language", calling(_speak, reader)),
             *answers,
         ],
-        exception_handlers={PhotocalError: refusal},
+        exception_handlers={PhotocalError: refusing(lambda text: catalogue(reader.language).refused(text))},
     )
 
 
-def _speak(desk: Desk, language: str) -> dict[str, str]:
-    desk.language = catalogue(language).language
-    return {"language": desk.language}
+@dataclass
+class _Reader:
+    """Who reads a page that has no project."""
+
+    language: str = "en"
 
 
-def _spoken(language: str) -> dict[str, str]:
-    return {"language": catalogue(language).language}
+def _speak(reader: Desk | _Reader, language: str) -> dict[str, str]:
+    reader.language = catalogue(language).language
+    return {"language": reader.language}

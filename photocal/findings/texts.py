@@ -22,7 +22,7 @@ from photocal.findings.finding import Finding
 
 LANGUAGES = ("en", "pt-BR")
 # Their sections may add to each other, their keys are all different.
-CATALOGUES = ("findings", "report", "analysis", "verdict", "terminal", "new", "commands")
+CATALOGUES = ("findings", "report", "analysis", "verdict", "terminal", "new", "commands", "refusals")
 
 
 @dataclass(frozen=True)
@@ -62,9 +62,41 @@ class Catalogue:
 
         own: other texts that are known, English to this language, with places for values in braces.
         """
+        return text if self.language == "en" else self._known(text, "stored", own)
+
+    def refused(self, text: str) -> str:
+        """Say in this language what a command refuses, "place: what happened; what to do".
+
+        A refusal that is not known stands in English.
+        """
         if self.language == "en":
             return text
-        for english, said in (*(own or {}).items(), *_stored(self.language)):
+        parts, said = text.split("; "), list[str]()
+        while parts:
+            # A sentence may have semicolons of its own.
+            for n in range(1, len(parts) + 1):
+                whole = "; ".join(parts[:n])
+                if (known := self._placed(whole)) != whole:
+                    break
+            else:
+                n, known = 1, parts[0]
+                if not said:
+                    return text
+            said.append(known)
+            parts = parts[n:]
+        return "; ".join(said)
+
+    def _placed(self, text: str) -> str:
+        """Say a sentence behind the place that it speaks of."""
+        parts = text.split(": ")
+        for k in reversed(range(len(parts))):
+            end = ": ".join(parts[k:])
+            if (known := self._known(end, "refusal")) != end:
+                return ": ".join([*(self._known(part, "refusal") for part in parts[:k]), known])
+        return text
+
+    def _known(self, text: str, section: str, own: Mapping[str, str] | None = None) -> str:
+        for english, said in (*(own or {}).items(), *_twins(self.language, section)):
             if found := _pattern(english).fullmatch(text):
                 return said.format(**{name: self._decimal(part) for name, part in found.groupdict().items()})
         return text
@@ -122,10 +154,15 @@ def catalogue(language: str) -> Catalogue:
 
 
 @cache
-def _stored(language: str) -> tuple[tuple[str, str], ...]:
-    """English texts that records have, and the same in another language."""
+def _twins(language: str, section: str) -> tuple[tuple[str, str], ...]:
+    """English texts of a section, and the same in another language."""
     english, other = catalogue("en").messages, catalogue(language).messages
-    return tuple((text, other[key]) for key, text in english.items() if key.startswith("stored."))
+    twins = [(text, other[key]) for key, text in english.items() if key.startswith(f"{section}.")]
+    if section == "refusal":
+        # What is wrong with a system is said in both ways.
+        told = [key for key in english if key.startswith("new.unfit_")]
+        twins += [(f"crs = {{crs}}{english[key]}", f"crs = {{crs}}{other[key]}") for key in told]
+    return tuple(twins)
 
 
 @cache

@@ -55,6 +55,7 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
     keys = project.contents.certificate
     key = own_key()
     fingerprint = key.fingerprint if key else ""
+    language = keys.language or "en"
     inputs = {} if keys.particulars is None else {"particulars": keys.particulars}
 
     def make(folder: Path, show: Progress) -> None:
@@ -75,7 +76,11 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
                 flown=read_json(work / "flown" / "flown.json"),
             )
             block, warnings = work / "block", gather(work)
-            issue(work / "analysis", folder, given, language=keys.language, block=block, warnings=warnings)
+            issue(work / "analysis", folder, given, language=language, block=block, warnings=warnings)
 
-    settings = {**keys.model_dump(mode="json", exclude={"particulars", "plan"}), "key": fingerprint}
+    settings = {
+        **keys.model_dump(mode="json", exclude={"particulars", "plan"}),
+        "language": language,
+        "key": fingerprint,
+    }
     return Stage("certificate", "certificate", make, inputs, settings, earlier)

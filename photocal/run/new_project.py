@@ -53,7 +53,7 @@ def new_project(
 
     crs, height, marks: what a person says of the control beside its file: system by code or name, kind of
         heights, size and turn of the pictures that its marks were made in.
-    language: of comments, and of what is found, missing and asked.
+    language: of comments, of what is found, missing and asked, and of the certificate.
     again: where they are there already, keep what a person has written, and add what was found since.
     raises InputNotFoundError: when the folder has neither pictures nor a log.
     raises OutputError: when one of the files is there already.
@@ -187,6 +187,9 @@ class _Text:
             yield from self._cameras()
             yield from self._heads()
         yield from self._control()
+        if self.say.language != "en":
+            yield "\n[certificate]"
+            yield f'language = "{self.say.language}"  # {self.say("new.certificate_language")}'
         for left in self.seen.unread[:10]:
             self.missing.append(self.say("new.not_used", text=left))
 

@@ -9,7 +9,10 @@ from pathlib import Path
 
 from PIL import Image
 
-from photocal.demo.__main__ import calibrate
+from photocal.analysis.analyse_run import analyse_run
+from photocal.report.options import CertificateOptions
+from photocal.results.adjusted import adjust_block
+from photocal.run.certify import certificate
 from tests.docs.rooms import ROOT
 
 CERTIFICATE = ROOT / "docs" / "certificate.png"
@@ -20,10 +23,13 @@ _COLOURS = 64
 
 
 def main() -> None:
-    """Write it as the PDF has it."""
+    """Write it as the PDF has it, after the analysis that every run makes."""
     with tempfile.TemporaryDirectory() as folder:
-        calibrate(_BLOCK, Path(folder))
-        draw_page(Path(folder) / "certificate" / "certificate.pdf", CERTIFICATE)
+        run, written = Path(folder) / "run", Path(folder) / "certificate"
+        adjust_block(_BLOCK, run)
+        analyse_run(run, _BLOCK)
+        certificate(run, written, options=CertificateOptions(block=_BLOCK))
+        draw_page(written / "certificate.pdf", CERTIFICATE)
 
 
 def draw_page(written: Path, picture: Path) -> None:

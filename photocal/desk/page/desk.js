@@ -63,50 +63,67 @@ async function answered(asked) {
   return value;
 }
 
-const context = {
-  say,
-  /** Ask the server; the answer as JSON. Throws Refusal. */
-  get: (path) => answered(fetch(path)),
-  /** Ask the server for an array of bytes. Throws Refusal. */
-  async bytes(path) {
-    const [answer, bytes] = await reached(fetch(path), (answer) => answer.arrayBuffer());
-    if (!answer.ok) throw new Refusal(`${answer.status}`);
-    return bytes;
-  },
-  /** Have the server do something; the answer as JSON. Throws Refusal. */
-  post: (path, value = {}) =>
-    answered(fetch(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(value) })),
-  /** Go to another place, as "#/look/point/P1". */
-  go(hash) {
-    location.hash = hash;
-  },
-  /** Show the command line that does the same. */
-  command(line) {
-    fill(
-      document.getElementById("command"),
-      h("span.label", {}, say("desk.command")),
-      // It may be longer than the bar: keys move it, too.
-      h("code", { tabindex: 0 }, line),
-      h("button.small", { type: "button", onclick: () => copy(line) }, say("desk.copy")),
-    );
-  },
-  /** Tell readers of the screen. */
-  announce(text) {
-    document.getElementById("announced").textContent = text;
-  },
-  /** Ask anew how the steps stand. */
-  async renew() {
-    state = await context.get("/api/desk");
-    rail();
-    return state;
-  },
-  get language() {
-    return language;
-  },
-  get state() {
-    return state;
-  },
-};
+// The window asks for itself; each place asks through a context of its own, which ends when one leaves it.
+const context = contextOf(() => true);
+
+/** What a place is given; `here` tells whether it is still the one that is shown. */
+function contextOf(here) {
+  // What comes after one has left goes nowhere: neither drawn into another place nor told as its error.
+  const kept = (asked) => new Promise((done, failed) => asked.then((value) => here() && done(value), (failure) => here() && failed(failure)));
+  return {
+    say,
+    /** Ask the server; the answer as JSON. Throws Refusal. */
+    get: (path) => kept(answered(fetch(path))),
+    /** Ask the server for an array of bytes. Throws Refusal. */
+    bytes: (path) => kept(bytesOf(path)),
+    /** Have the server do something; the answer as JSON. Throws Refusal. */
+    post(path, value = {}) {
+      const asked = answered(fetch(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(value) }));
+      // What was begun before one left changes how the steps stand all the same.
+      asked.finally(() => here() || renew()).catch(() => {});
+      return kept(asked);
+    },
+    /** Go to another place, as "#/look/point/P1". */
+    go(hash) {
+      location.hash = hash;
+    },
+    /** Show the command line that does the same. */
+    command(line) {
+      if (!here()) return;
+      fill(
+        document.getElementById("command"),
+        h("span.label", {}, say("desk.command")),
+        // It may be longer than the bar: keys move it, too.
+        h("code", { tabindex: 0 }, line),
+        h("button.small", { type: "button", onclick: () => copy(line) }, say("desk.copy")),
+      );
+    },
+    /** Tell readers of the screen. */
+    announce(text) {
+      document.getElementById("announced").textContent = text;
+    },
+    /** Ask anew how the steps stand. */
+    renew: () => kept(renew()),
+    get language() {
+      return language;
+    },
+    get state() {
+      return state;
+    },
+  };
+}
+
+async function renew() {
+  state = await answered(fetch("/api/desk"));
+  rail();
+  return state;
+}
+
+async function bytesOf(path) {
+  const [answer, bytes] = await reached(fetch(path), (answer) => answer.arrayBuffer());
+  if (!answer.ok) throw new Refusal(`${answer.status}`);
+  return bytes;
+}
 
 async function copy(line) {
   try {
@@ -198,8 +215,9 @@ async function route(anew = false) {
   const mine = shown;
   const module = await import(MODULES[name]);
   if (shown !== mine) return;
-  context.parts = parts;
-  mine.mounted = (await module.mount(element, context)) ?? null;
+  const mounted = (await module.mount(element, Object.assign(contextOf(() => shown === mine), { parts }))) ?? null;
+  if (shown === mine) mine.mounted = mounted;
+  else mounted?.leave?.();
 }
 
 async function start() {

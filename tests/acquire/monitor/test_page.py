@@ -73,7 +73,7 @@ def page(browser: Browser, server: subprocess.Popen[str], port: int) -> Iterator
         opened.click("#heard")
         expect(opened.locator("#banner")).to_be_hidden()
     yield opened
-    assert problems == []
+    assert problems == [], problems
     assert [url for url in foreign if not url.startswith("data:")] == []
     context.close()
 

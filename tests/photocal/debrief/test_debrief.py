@@ -15,6 +15,7 @@ from photocal.base.console import progress
 from photocal.debrief import pictures
 from photocal.debrief.verdict import Debrief, debrief, debrief_json
 from photocal.exchange.pinhole import Pinhole, from_pinhole
+from photocal.findings.texts import catalogue, finding_text
 from photocal.geometry.camera import Camera
 from photocal.measurement import match_images
 from photocal.project import read_project
@@ -147,6 +148,19 @@ def test_a_lens_that_has_changed_is_named(flown: Path) -> None:
     assert codes(made) == {"c-changed"}
     (found,) = [one for one in made.findings if one.code == "c-changed"]
     assert found.figures["percent"] == pytest.approx(-1.0, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("language", "said"),
+    [
+        ("en", "471.44 ± 0.23 px, the last certificate states 476.200 ± 0.020 px"),
+        ("pt-BR", "471,44 ± 0,23 px, onde o último certificado tem 476,200 ± 0,020 px"),
+    ],
+)
+def test_no_principal_distance_has_more_digits_than_its_sigma(language: str, said: str) -> None:
+    released = {"c": 471.437812, "sigma": 0.234567, "credible": True, "change": -0.01}
+    found = pictures.since_certificate({"camera": "sim-0", "unit": "px", "released": released}, [last(476.2)])
+    assert said in finding_text(found, catalogue(language))
 
 
 def test_a_base_that_did_not_run_and_telemetry_that_ended_are_named(site: Path) -> None:

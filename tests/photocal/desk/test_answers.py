@@ -379,7 +379,10 @@ def test_verdict_and_debrief_are_said_in_the_language_of_the_window(
     def told(language: str) -> tuple[str, str, str, str]:
         good(window.post("/api/language", {"language": language}))
         flown = good(window.get("/api/check")).json["debrief"]
-        issued = good(window.get("/api/certificate")).json["issued"]["verdict"]
+        certificate = good(window.get("/api/certificate")).json
+        # What is offered for the certificate, until a language is chosen.
+        assert certificate["language"] == language
+        issued = certificate["issued"]["verdict"]
         of_run = good(window.get("/api/run")).json["verdict"]
         assert of_run == issued
         return of_run["paragraph"], " ".join(of_run["said"]), flown["verdict"]["text"], flown["summary"][0]
@@ -395,6 +398,18 @@ def test_verdict_and_debrief_are_said_in_the_language_of_the_window(
     assert "voo está completo" in portuguese[2]
     assert (english[3], portuguese[3]) == ("0 of 0 pictures can be read", "0 de 0 imagens podem ser lidas")
     assert window.post("/api/language", {"language": "xx"}).status == 422
+
+
+def test_refusals_are_in_the_language_of_the_page(window: Client) -> None:
+    english = window.post("/api/open", {"path": "nowhere"}).json["error"]
+    assert english.endswith("; choose from the list")
+    good(window.post("/api/language", {"language": "pt-BR"}))
+    assert window.post("/api/open", {"path": "nowhere"}).json["error"].endswith("; escolha da lista")
+    # A field knows its error, whichever language says it.
+    good(window.post("/api/open", {"path": "site"}))
+    form = good(window.post("/api/new", {})).json["form"]
+    assert form["problem"]["field"] == "project.height"
+    assert "ainda está por preencher" in form["problem"]["text"]
 
 
 def verified(window: Client, octets: bytes) -> dict[str, Any]:

@@ -39,7 +39,7 @@ def test_page_never_scrolls_sideways(browser: Browser, page_file: Path, width: i
     page.on("request", lambda request: requested.append(request.url))
     page.goto(page_file.as_uri())
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    assert problems == []
+    assert problems == [], problems
     assert requested == [page_file.as_uri()]
     page.close()
 

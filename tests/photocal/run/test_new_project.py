@@ -180,13 +180,28 @@ def test_a_project_in_portuguese_is_the_same_project(folder: Path) -> None:
     english.path.unlink()
     own = new_project(folder, height="ellipsoidal", language="pt-BR")
     ours = own.path.read_text(encoding="utf-8")
-    assert tomllib.loads(ours) == tomllib.loads(theirs)
+    assert tomllib.loads(ours) == {**tomllib.loads(theirs), "certificate": {"language": "pt-BR"}}
     assert f"# 3 imagens em {folder.name}, 3 com posição" in ours
     assert not {line.partition("# ")[2] for line in ours.splitlines()} & {
         line.partition("# ")[2] for line in theirs.splitlines() if "# " in line
     }
     assert len(own.known) == len(english.known)
     assert not {*own.known, *own.missing} & {*english.known, *english.missing}
+
+
+@pytest.mark.parametrize("language", ["en", "pt-BR"])
+def test_the_certificate_speaks_the_language_in_which_the_project_was_made(
+    folder: Path, language: str
+) -> None:
+    made = new_project(folder, height="ellipsoidal", language=language)
+    day = dt.date(2026, 5, 1)
+    assert stages(read_project(made.path), day)[-1].settings["language"] == language
+    # Whoever chooses another one is not asked again.
+    chosen = {"en": "pt-BR", "pt-BR": "en"}[language]
+    text = made.path.read_text(encoding="utf-8").partition("\n[certificate]")[0]
+    made.path.write_text(f'{text}\n[certificate]\nlanguage = "{chosen}"\n', encoding="utf-8")
+    new_project(folder, height="ellipsoidal", language=language, again=True)
+    assert stages(read_project(made.path), day)[-1].settings["language"] == chosen
 
 
 def test_control_of_an_unknown_system_is_asked_for(folder: Path) -> None:

@@ -10,10 +10,10 @@ import { plotsPane } from "./plots.js";
 import { makeSelection } from "./selection.js";
 import { spaceView } from "./space.js";
 
+const STYLES = ["/look/look.css", "/look/viewer.css", "/vendor/ol.css", "/vendor/uplot.css"];
 const VIEWS = { map: blockMap, space: spaceView, plots: plotsPane };
 
 export async function mount(element, context) {
-  for (const path of ["/look/look.css", "/look/viewer.css", "/vendor/ol.css", "/vendor/uplot.css"]) styles(path);
   // The map's library comes while the server reads the project; the map tells if it does not.
   script("/vendor/ol.js").catch(() => {});
   let here = await read(element, context, again);
@@ -35,6 +35,8 @@ async function read(element, context, again) {
     const [overview, findings] = await Promise.all([
       context.get("/api/look"),
       context.get(`/api/look/findings?language=${context.language}`),
+      // A map that is drawn before its styles are there has no height.
+      ...STYLES.map(styles),
     ]);
     return show(element, context, { ...overview, findings }, again);
   } catch (refusal) {

@@ -57,10 +57,10 @@ async function show(element, context, project) {
   table.marking = { state, views };
   fill(element, h("h1.unseen", {}, say("mark.title")), table);
   if (project.line) context.command(project.line);
-  addEventListener("keydown", keys);
   setSnap(localStorage.getItem("snap") ?? "any");
   state.count = Number(localStorage.getItem("count")) || (innerWidth > 900 ? 4 : 1);
   await begin(context.parts ?? []);
+  addEventListener("keydown", keys);
   const timer = setInterval(poll, POLL_MS);
   table.dataset.ready = "true";
   return { leave, route: ([point, image]) => known(point) && acts.choosePoint(point, image) };

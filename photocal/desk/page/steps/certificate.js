@@ -60,7 +60,8 @@ export async function mount(element, context) {
       h("p.hint", {}, say("certificate.told")),
       h("div.fields", {}, own("client", say("field.certificate.client")), own("operator", say("field.certificate.operator")),
         h("div.field", {}, h("label", { for: "language" }, say("field.certificate.language")),
-          h("select", { id: "language", name: "language", onchange: changed }, ["en", "pt-BR"].map((one) => h("option", { value: one, selected: one === state.language }, say(`choice.certificate.language.${one}`)))))),
+          h("select", { id: "language", name: "language", onchange: changed }, ["en", "pt-BR"].map((one) => h("option", { value: one, selected: one === state.language }, say(`choice.certificate.language.${one}`)))),
+          h("p.hint", {}, say("certificate.language-rule")))),
       sections.map((section, k) => {
         const fields = state.fields.filter((field) => field.section === section);
         return h("details", { open: k === 0 || fields.some((field) => field.value) }, h("summary", {}, say(`section.${section}`)), h("div.fields", {}, fields.map(entry)));
