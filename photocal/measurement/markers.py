@@ -23,6 +23,7 @@ from photocal.measurement.patch_matching import ImageSource
 from photocal.measurement.target_centre import (
     LEAST_CONTRAST,
     Centre,
+    Fit,
     accepted,
     cut_part,
     fit_template,
@@ -40,14 +41,21 @@ DICTIONARIES = (
     "aruco_original",
     "aruco_mip_36h12",
 )
+# The light of a blurred edge is even at this multiple of the blur.
+BLURS = 2.5
 # Raised whenever the meaning of cached results changes.
-VERSION = 5
+VERSION = 6
 # Plates are not flat and lenses not modelled to the last: what the grey values cannot know, px.
 COMMON_PX = 0.02
 
 
-def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Centre, Floats] | None:
-    """Centre and corners of a dark quadrilateral, such as the border of a coded marker."""
+def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Centre, Floats, Floats] | None:
+    """Centre, corners and their standard deviations of a dark quadrilateral, such as the border of a code.
+
+    corners (4, 2): where they are about, px.
+    cell: width of the border, px.
+    returns: the centre; columns and rows of the corners and their standard deviations, (4, 2), px.
+    """
     middle = corners.mean(axis=0)
     reach = float(np.hypot(*(corners - middle).T).max()) + 0.7 * cell + 1
     # Near the border of the picture, where distortion wants targets, part of the margin is enough.
@@ -62,7 +70,8 @@ def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Cent
     distance = -np.sum(normal * local, axis=1)
     depth = np.min(np.column_stack([window.x, window.y]) @ normal.T + distance, axis=1)
     # Inside the border lies the code, beyond the margin anything.
-    window = window.rows(np.abs(depth) <= max(0.75 * cell, 1.5))
+    near = np.abs(depth) <= max(0.75 * cell, 1.5)
+    window, depth = window.rows(near), depth[near]
     if len(window.grey) < 20:
         return None
     half = half_contrast(window)
@@ -74,18 +83,29 @@ def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Cent
     fit = fit_template(window, target_centre.quadrilateral, start, sizes)
     if fit is None or fit.parameters[10] > 0:
         return None
+    # The code shines through the border as far as blur takes it.
+    clear = depth <= cell - BLURS * abs(fit.parameters[8])
+    if not clear.all():
+        window = window.rows(clear)
+        fit = fit_template(window, target_centre.quadrilateral, fit.parameters, sizes)
+    if fit is None or fit.parameters[10] > 0:
+        return None
     fitted = _corners(fit.parameters)
     if np.abs(fitted - local).max() > max(2.0, 0.15 * side):
         return None
-    step = np.eye(11) * 1e-5
-    slope = np.column_stack(
-        [(_diagonals(fit.parameters + s) - _diagonals(fit.parameters - s)) / 2e-5 for s in step]
-    )
-    place = _diagonals(fit.parameters)
-    refined = replace(fit, parameters=place, cofactor=slope @ fit.cofactor @ slope.T)
+    place, cofactor = _carried(_diagonals, fit)
+    refined = replace(fit, parameters=place, cofactor=cofactor)
     target = (float(middle[0]), float(middle[1]))
     centre = accepted(window, refined, -fit.parameters[10], target, 0.15 * side + 1, fit.parameters[:9])
-    return None if centre is None else (centre, fitted + window.middle)
+    sigma = fit.noise * np.sqrt(np.diag(_carried(_corners, fit)[1])).reshape(4, 2)
+    return None if centre is None else (centre, fitted + window.middle, sigma)
+
+
+def _carried(function: Callable[[Floats], Floats], fit: Fit) -> tuple[Floats, Floats]:
+    """Value of a function of a quadrilateral's parameters and its cofactor matrix."""
+    step = 1e-5 * np.eye(len(fit.parameters))
+    slope = [(function(fit.parameters + s) - function(fit.parameters - s)).ravel() / 2e-5 for s in step]
+    return function(fit.parameters), np.asarray(np.transpose(slope) @ fit.cofactor @ slope)
 
 
 def _corners(p: Floats) -> Floats:
@@ -122,10 +142,28 @@ def on_bent_edges(lens: Camera, corners: Floats) -> Floats:
     return corners - np.nan_to_num(straight - corners)
 
 
+def moved_by_bend(lens: Camera, corners: Floats) -> Floats:
+    """Give by how much the middles of quadrilaterals lie aside of where their diagonals meet, px.
+
+    corners (n, 4, 2): columns and rows, px, as `quadrilateral_centre` measures them.
+    returns (n, 2): from the measured centres to where the lens shows the middles.
+    """
+    bent = on_bent_edges(lens, corners)
+    flat = undistorted(lens, pixel_to_plane(lens.size_px, lens.pitch, bent.reshape(-1, 2)))
+    shown = distorted(lens, _crossing(flat.reshape(corners.shape)))
+    return np.nan_to_num(plane_to_pixel(lens.size_px, lens.pitch, shown) - _crossing(corners))
+
+
 def _diagonals(p: Floats) -> Floats:
-    corners = np.column_stack([_corners(p), np.ones(4)])
-    meeting = np.cross(np.cross(corners[0], corners[2]), np.cross(corners[1], corners[3]))
-    return np.asarray(meeting[:2] / meeting[2])
+    return _crossing(_corners(p))
+
+
+def _crossing(corners: Floats) -> Floats:
+    """Where the diagonals of quadrilaterals meet, (..., 2)."""
+    whole = np.concatenate([corners, np.ones_like(corners[..., :1])], axis=-1)
+    first, second = (np.cross(whole[..., k, :], whole[..., k + 2, :]) for k in (0, 1))
+    meeting = np.cross(first, second)
+    return np.asarray(meeting[..., :2] / meeting[..., 2:])
 
 
 @dataclass(frozen=True)
@@ -133,11 +171,13 @@ class Marker:
     """A coded marker in an image.
 
     corners (4, 2): columns and rows, px, clockwise from the marker's own first corner.
+    sigma (4, 2): standard deviations of the corners, px.
     """
 
     identity: int
     centre: Centre
     corners: Floats
+    sigma: Floats
 
 
 def dictionary(name: str) -> Any:
@@ -181,26 +221,32 @@ def find_markers(grey: Grey, dictionary_name: str) -> tuple[Marker, ...]:
         measured = quadrilateral_centre(grey, rough, float(across.min()) / cells)
         if measured is None:
             continue
-        centre, refined = measured
+        centre, *refined = measured
         if centre.contrast < LEAST_CONTRAST or centre.noise > worst_misfit * centre.contrast:
             continue
-        by_identity.setdefault(int(identity), []).append(Marker(int(identity), centre, refined))
+        by_identity.setdefault(int(identity), []).append(Marker(int(identity), centre, *refined))
     return tuple(marks[0] for _, marks in sorted(by_identity.items()) if len(marks) == 1)
 
 
 def find_coded_targets(
     sources: Sequence[ImageSource],
+    lenses: Sequence[Camera],
     dictionary_name: str,
     names: Mapping[str, str],
     processes: Workers,
     done: Callable[[float], None],
 ) -> tuple[tuple[Mark, ...], tuple[str, ...]]:
-    """Find coded targets in images."""
+    """Find coded targets in images: their middles, where the lens that is known of a camera shows them.
+
+    lenses: camera of each image.
+    """
     dictionary(dictionary_name)
     marks, strangers = [], []
-    tasks = ((source, dictionary_name) for source in sources)
-    for source, targets in zip(sources, run_tasks(_find, tasks, processes, done), strict=True):
-        for code, x, y, sx, sy in targets.tolist():
+    tasks = [(source, dictionary_name) for source in sources]
+    found = run_tasks(_find, tasks, processes, done)
+    for source, lens, targets in zip(sources, lenses, found, strict=True):
+        places = targets[:, 1:3] + moved_by_bend(lens, targets[:, 5:].reshape(-1, 4, 2))
+        for code, (x, y), (sx, sy) in zip(targets[:, 0], places.tolist(), targets[:, 3:5], strict=True):
             name = names.get(str(int(code)))
             if name is None:
                 strangers.append(f"code {int(code)} in {source.path.name}")
@@ -216,8 +262,10 @@ def _find(task: tuple[ImageSource, str]) -> Floats:
     def make() -> Arrays:
         """Find the coded targets of one picture."""
         markers = find_markers(read_grey(source.path), dictionary_name)
-        rows = [(m.identity, m.centre.column, m.centre.row, *m.centre.sigma) for m in markers]
-        return {"targets": np.array(rows, dtype=float).reshape(-1, 5)}
+        rows = [
+            (m.identity, m.centre.column, m.centre.row, *m.centre.sigma, *m.corners.ravel()) for m in markers
+        ]
+        return {"targets": np.array(rows, dtype=float).reshape(-1, 13)}
 
     key = combined_key(VERSION, "coded targets", source.key, dictionary_name)
     return np.asarray(cached(source.cache, key, ("targets",), make)["targets"], dtype=np.float64)

@@ -234,7 +234,8 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     control = known.control({image.name: image.size_px for image in tracked.facts})
     control, strays = _without_strays(control)
     start = _start(known, control, tracked.facts, given)
-    targets = _targets(known, tracked.sources, control.points, plan, progress)
+    lenses = [start.cameras[k] for k in start.images.camera]
+    targets = _targets(known, tracked.sources, lenses, control.points, plan, progress)
     folder = {path.name: path for path in known.paths}
     settled, _, unused, settling = settle_marks(control.marks, control.points.names, tracked.facts, folder)
     block, _ = with_marks(start, (*settled, *targets.marks))
@@ -370,13 +371,16 @@ def _start(
 def _targets(
     known: KnownPictures,
     sources: Sequence[ImageSource],
+    lenses: Sequence[Camera],
     points: ObjectPoints,
     plan: MatchingPlan,
     progress: Progress,
 ) -> FoundTargets:
     if known.project is None:
         return FoundTargets()
-    return targets_of_project(known.project, sources, known.exposures, points, plan.processes, progress)
+    return targets_of_project(
+        known.project, sources, lenses, known.exposures, points, plan.processes, progress
+    )
 
 
 def _with_cameras(

@@ -178,7 +178,7 @@ def _find(task: tuple[ImageSource, tuple[PredictedTarget, ...]]) -> Floats:
     numbers = [np.concatenate([np.ravel(part) for part in target]) for target in parts]
     kinds = ",".join(target.look.kind for target in expected)
     # Raised whenever the meaning of cached results changes.
-    version = 2
+    version = 3
     key = combined_key(version, "plain targets", source.key, kinds, array_key(*numbers))
     return np.asarray(cached(source.cache, key, ("targets",), make)["targets"], dtype=np.float64)
 
@@ -198,12 +198,13 @@ def _unsure(camera: Camera) -> Camera:
 def targets_of_project(
     project: Project,
     sources: Sequence[ImageSource],
+    lenses: Sequence[Camera],
     exposures: Orientation | None,
     control: ObjectPoints,
     workers: Workers,
     progress: Progress,
 ) -> FoundTargets:
-    """Find the targets of a project."""
+    """Find the targets of a project; lenses: camera of each image."""
     given = project.control
     marks: list[Mark] = []
     strangers: list[str] = []
@@ -211,7 +212,9 @@ def targets_of_project(
     _require_points(project, control)
     for coded in given.coded_targets:
         with progress("looking for coded targets", len(sources)) as done:
-            coded_marks, unnamed = find_coded_targets(sources, coded.dictionary, coded.names, workers, done)
+            coded_marks, unnamed = find_coded_targets(
+                sources, lenses, coded.dictionary, coded.names, workers, done
+            )
         marks += coded_marks
         strangers += unnamed
     record: dict[str, Any] = {"coded": len(marks)}

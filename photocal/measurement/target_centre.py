@@ -349,9 +349,7 @@ def accepted(
     weakest_contrast = 3.0
     if not moved <= farthest or contrast < weakest_contrast * fit.noise:
         return None
-    # Targets are drawn on paper; a centre that claims more than this trusts the model too much.
-    finest_px = 0.003
-    covariance = odd_variance(window, fit, place) * fit.cofactor[:2, :2] + finest_px**2 * np.eye(2)
+    covariance = odd_variance(window, fit, place) * fit.cofactor[:2, :2]
     if not max(covariance[0, 0], covariance[1, 1]) <= 1:
         return None
     return Centre(column, row, covariance, contrast, fit.noise, shape.copy())

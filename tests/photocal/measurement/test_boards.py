@@ -14,16 +14,19 @@ from PIL import Image
 
 from photocal.base.errors import ConfigurationError
 from photocal.block.folder import read_block
+from photocal.geometry.camera import camera
 from photocal.measurement.markers import (
     Board,
     charuco_board,
     dictionary,
     find_board,
+    find_coded_targets,
     find_markers,
     parse_board,
 )
+from photocal.measurement.patch_matching import ImageSource
 
-from .rendering import warped
+from .rendering import DARK, LIGHT, Floats, render, warped
 
 
 class Answer(Protocol):
@@ -175,3 +178,40 @@ def test_images_without_the_board_are_named(tmp_path: Path, photocal: Callable[.
     assert "0 of 2 images show a board of 10 x 7 squares" in said.err
     assert len(said.err.splitlines()) == 1
     assert not (tmp_path / "block").exists()
+
+
+def test_coded_targets_lie_where_the_lens_shows_their_middles(tmp_path: Path) -> None:
+    """A plate of 110 px near the border, where the lens bends it; its middle by OpenCV."""
+    c, size, side, code = 1500.0, (1600, 1200), 190, 7
+    matrix, bend = np.array([[c, 0, 799.5], [0, c, 599.5], [0, 0, 1.0]]), np.array([-0.15, 0, 0, 0, 0])
+    cells = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), code, 6)
+    picture = np.full(size[::-1], LIGHT, np.uint8)
+    truth = []
+    for at in ([1400.0, 200.0], [190.0, 1010.0]):
+        middle = np.asarray(cv2.undistortPoints(np.array([[at]]), matrix, bend).ravel(), np.float64)
+        corner = np.round(at).astype(int) - side // 2
+
+        def scene(x: Floats, y: Floats, corner: Floats = corner, middle: Floats = middle) -> Floats:
+            seen = np.stack([x.ravel(), y.ravel()], axis=-1) + corner
+            away = cv2.undistortPoints(seen[:, None], matrix, bend).reshape(-1, 2) - middle
+            cell = np.floor(away * c / 110 * 6 + 3).astype(int)
+            inside = ((cell >= 0) & (cell < 6)).all(axis=1)
+            column, row = np.clip(cell, 0, 5).T
+            return np.where(inside & (cells[row, column] < 128), DARK, LIGHT).reshape(x.shape)
+
+        part = render(scene, np.eye(3), side, np.random.default_rng(1), noise=0.002)
+        picture[corner[1] : corner[1] + side, corner[0] : corner[0] + side] = part
+        truth.append(at)
+        source = tmp_path / f"{len(truth)}.png"
+        cv2.imwrite(str(source), picture)
+        picture[:] = int(LIGHT)
+    sources = [ImageSource(tmp_path / f"{k}.png", f"{k}", tmp_path / "cache") for k in (1, 2)]
+
+    def aside(k1: float) -> Floats:
+        lens = camera("c", "brown-ideal", "px", size, (1.0, 1.0), {"c": c, "K1": k1})
+        marks, _ = find_coded_targets(sources, [lens, lens], "4x4_50", {str(code): "A"}, 1, lambda _: None)
+        return np.array([(mark.x, mark.y) for mark in marks]) - truth
+
+    straight, bent = (np.hypot(*aside(k1).T) for k1 in (0.0, bend[0] / c**2))
+    assert (straight > 0.04).all()
+    assert (bent < 0.2 * straight).all()

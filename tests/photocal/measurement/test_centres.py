@@ -13,7 +13,7 @@ from scipy import stats
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.measurement.markers import on_bent_edges, quadrilateral_centre
+from photocal.measurement.markers import moved_by_bend, on_bent_edges, quadrilateral_centre
 from photocal.measurement.target_centre import Centre, flattened, ground_bend, quadrilateral
 from photocal.measurement.target_search import cross_centre, round_centre, saddle_centre
 
@@ -227,7 +227,7 @@ def test_corners_of_edges_that_the_lens_bends_lie_where_opencv_projects_them(k1:
     own = camera("c", "brown-ideal", "px", size, (1.0, 1.0), {"c": c, "K1": k1 / c**2})
     square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     rng = np.random.default_rng(4)
-    straight, bent, radial = [], [], []
+    straight, bent, radial, met, middles = [], [], [], [], []
     for middle in ([1300, 300], [250, 250], [1400, 700], [800, 1050], [300, 900], [1200, 1000]):
         turn = cv2.Rodrigues(rng.normal(0, 0.15, 3))[0]
         ideal = cv2.undistortPoints(np.array([[middle]], dtype=float), matrix, lens).ravel()
@@ -250,6 +250,9 @@ def test_corners_of_edges_that_the_lens_bends_lie_where_opencv_projects_them(k1:
         corners = found[1] + corner
         straight.append(corners - true)
         bent.append(on_bent_edges(own, corners[None])[0] - true)
+        shown = cv2.projectPoints(place[None], np.zeros(3), np.zeros(3), matrix, lens)[0].ravel()
+        met.append(np.array([found[0].column, found[0].row]) + corner - shown)
+        middles.append(met[-1] + moved_by_bend(own, corners[None])[0])
         away = true - matrix[:2, 2]
         radial.append(away / np.hypot(*away.T)[:, None])
     before, after = (np.sum(np.array(e) * radial, axis=-1) for e in (straight, bent))
@@ -257,6 +260,8 @@ def test_corners_of_edges_that_the_lens_bends_lie_where_opencv_projects_them(k1:
     assert -np.sign(k1) * before.mean() > 0.03
     assert abs(after.mean()) < 0.1 * abs(before.mean())
     assert np.sqrt(np.mean(np.square(bent))) < 0.5 * np.sqrt(np.mean(np.square(straight)))
+    # The diagonals meet aside of the middle.
+    assert np.sqrt(np.mean(np.square(middles))) < 0.25 * np.sqrt(np.mean(np.square(met)))
 
 
 @pytest.mark.parametrize("degrees", [60, 75, 90, 110])
@@ -298,3 +303,57 @@ def test_acute_corners_are_measured_where_obtuse_ones_are() -> None:
     # Px for a corner of 0 degrees: -0.10 with the product of two edges, which puts acute corners 0.07 px in.
     assert abs(np.linalg.lstsq(np.array(cosine)[:, None], np.array(outward), rcond=None)[0][0]) < 0.01
     assert np.abs(outward).max() < 0.02
+
+
+NOISE_AND_BLUR = [(1.0, 0.5), (1.0, 1.3), (2.5, 0.9), (5.0, 1.3)]
+
+
+def _light(inside: Floats) -> Floats:
+    """Grey values of a scene where a dark part begins, px; half a fine pixel soft, so that no edge is cut."""
+    return LIGHT + (DARK - LIGHT) * np.clip(0.5 + 6 * inside, 0, 1)
+
+
+def _coded(u: Floats, v: Floats) -> Floats:
+    """A code of four by four cells, every other one white, in a border of 7 px."""
+    within, cells = 21 - np.maximum(abs(u), abs(v)), 14 - np.maximum(abs(u), abs(v))
+    white = (np.floor(u / 7) + np.floor(v / 7)) % 2 == 0
+    return np.where((cells > 0) & white, LIGHT, _light(within))
+
+
+@pytest.mark.parametrize(("noise", "blur"), NOISE_AND_BLUR)
+def test_corners_of_coded_plates_are_as_sure_as_they_say(noise: float, blur: float) -> None:
+    """Errors against the truth of the rendering, in its own standard deviations, of three seeds."""
+    square, standardised = 21 * np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]]), []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        for _ in range(8):
+            matrix = perspective(rng, 88, 0.8)
+            true = np.column_stack([square, np.ones(4)]) @ matrix.T
+            true = true[:, :2] / true[:, 2:]
+            grey = render(_coded, matrix, 88, rng, blur=blur, noise=noise / 255)
+            found = quadrilateral_centre(grey, true + rng.uniform(-0.4, 0.4, (4, 2)), 5.6)
+            assert found is not None
+            standardised.append((found[1] - true) / found[2])
+    assert 0.85 < np.sqrt(np.mean(np.square(standardised))) < 1.15
+
+
+@pytest.mark.parametrize(("noise", "blur"), NOISE_AND_BLUR)
+def test_corners_of_chessboards_are_as_sure_as_they_say(noise: float, blur: float) -> None:
+    standardised = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        for _ in range(25):
+            matrix = perspective(rng, 32, 0.8)
+            true = matrix[:2, 2]
+            grey = render(
+                lambda u, v: _light(np.sign(u * v) * np.minimum(abs(u), abs(v))),
+                matrix,
+                32,
+                rng,
+                blur=blur,
+                noise=noise / 255,
+            )
+            found = saddle_centre(grey, tuple(true + rng.uniform(-0.4, 0.4, 2)), 9.0)
+            assert found is not None
+            standardised.append((np.array([found.column, found.row]) - true) / found.sigma)
+    assert 0.85 < np.sqrt(np.mean(np.square(standardised))) < 1.15

@@ -284,11 +284,11 @@ def test_what_a_project_lacks_is_said(field: Field, tmp_path: Path) -> None:
 
         return nullcontext(lambda _: None)
 
-    without = targets_of_project(project, _sources(field, tmp_path), None, points, 1, quiet)  # type: ignore[arg-type]
+    without = targets_of_project(project, _sources(field, tmp_path), [], None, points, 1, quiet)  # type: ignore[arg-type]
     assert without.marks == ()
     (finding,) = without.findings
     assert (finding.code, finding.subject) == ("targets-not-sought", "cross, hourglass, disc, ring")
     assert not without.findings[0].small
     few = replace(points, names=("A", *points.names[1:]))
     with pytest.raises(ConfigurationError, match=r"\(cross\) name point P1, which control.csv lacks"):
-        targets_of_project(project, [], None, few, 1, quiet)  # type: ignore[arg-type]
+        targets_of_project(project, [], [], None, few, 1, quiet)  # type: ignore[arg-type]
