@@ -11,6 +11,7 @@ from scipy import stats
 
 import photocal
 from photocal.accuracy.standard import Question
+from photocal.adjustment.solver import ITERATIONS
 from photocal.block.model import Block
 from photocal.georeferencing.comparison import BlockCheck, check_block, differences
 from photocal.georeferencing.findings import block_findings
@@ -197,11 +198,19 @@ def test_both_commands_name_the_fault_and_nothing_else(name: str) -> None:
     assert (first[0].code, first[0].subject) == (first[1].code, first[1].subject)
 
 
-def test_a_block_that_exchanged_control_bends_is_told_where_to_look(tmp_path: Path) -> None:
-    """Two points 150 m apart with each other's names: no adjustment ends, and the check names the pair."""
+@pytest.mark.parametrize("seed", [0, 3])
+def test_exchanged_control_far_apart_is_named_by_both_commands(tmp_path: Path, seed: int) -> None:
+    """Two points 150 m apart with each other's names: an absurd minimum of v'Pv, or none at all (seed 3)."""
     fault = FAULTS["two control points swapped"]
-    block = flown(tmp_path, fault.design, 1, fault.errors)
-    with pytest.raises(photocal.PhotocalError, match=r"`photocal check` on the block looks for control"):
-        photocal.adjust(block)
+    block = flown(tmp_path, fault.design, seed, fault.errors)
+    result = None
+    if seed == 0:
+        result = photocal.adjust(block)
+        assert result.iterations > ITERATIONS
+    else:
+        with pytest.raises(photocal.PhotocalError, match=r"first exchange the coordinates of co0 and co1"):
+            photocal.adjust(block)
+    analysed = photocal.analyse(block, result).findings[0]
+    assert (analysed.code, analysed.subject, analysed.severity) == ("control-exchanged", "co0 co1", "grave")
     (first, subject), *_ = found(photocal.check(block))
     assert (first, subject) == ("control-exchanged", "co0 co1")
