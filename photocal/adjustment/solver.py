@@ -38,8 +38,9 @@ from photocal.base.errors import NotConvergedError
 CONVERGED = 1e-12
 # A step this short that no longer lowers the sum of squares shows that rounding is reached.
 ROUNDING = 1e-6
-# Images that move while they are read, each in its own way, take up to twice as many.
-ITERATIONS, MOVING = 50, 100
+# Images that move while they are read, each in its own way, take up to twice as many. So may a block that
+# far wrong control bends (v'Pv so many times the coordinates): steps without damping are on their way.
+ITERATIONS, AT_MOST, BENT = 50, 100, 25.0
 # Where a step gains no more than these shares of what the one before has gained, and of v'Pv, or is shorter
 # than a sigma, the rest of the way is gone with the factor that there is, in so many steps at most: each
 # costs a small part of a whole one. They may grow by this much where the ground is flatter than it seemed.
@@ -112,13 +113,14 @@ def _minimum(
     tried, bends, worked, start = np.inf, False, FIRST_DAMPING, state
     normal = normal_equations(problem, state)
     gone: tuple[Floats, float] | None = None
-    most = ITERATIONS if problem.network.exposures.motion_sigma is None else MOVING
+    most = ITERATIONS if problem.network.exposures.motion_sigma is None else AT_MOST
     # Only between steps this short, in units of what may be left, is that rate known: the first steps shrink
     # much faster than the last.
     short = 1e4
     # After one this short the normal equations are those from before it.
     negligible = 1e-12
-    while len(steps) < most:
+    bent = BENT * problem.network.rays.plane.size
+    while len(steps) < (AT_MOST if damping == 0.0 and normal.chi_squared > bent else most):
         step, share = _not_too_far(problem, normal, damping, gone)
         if step is None and damping == 0.0 and decrement < ROUNDING:
             explain_singular(problem, state)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from photocal.adjustment.adjusted import AdjustedNetwork, fit
+from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.common_error import c_by_common_height
 from photocal.adjustment.envelope import on_one_thread
 from photocal.adjustment.groups import GroupTest
@@ -58,6 +58,7 @@ from photocal.findings.verdict import judge, verdict_section
 from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.hypotheses.findings import Slips, asked_of, no_slips
+from photocal.hypotheses.search import straightened
 
 _ROTATION = Method("ROT", "two principal distances", "equations", 3, False, (rotation_misfit,))
 # Findings of terms that a lens model lacks.
@@ -314,7 +315,7 @@ def analyse_network(
     start: State | None = None,
     slips: Slips = no_slips,
 ) -> Outcome:
-    """Adjust a network and analyse it.
+    """Adjust a network and analyse it; without control that contradicts itself where it cannot be otherwise.
 
     draws: of the bootstrap over images: as many more adjustments.
     start: where the minimum is known to be near.
@@ -335,8 +336,8 @@ def analyse_network(
         done(now)
 
     with because("the calibrated block, whose residuals are analysed"):
-        fitted = fit(network, start)
-    searched = search(fitted, step)
+        fitted, at_once = straightened(network, start)
+    searched = search(fitted, step, at_once)
     geometry = shape(network, fitted.state)
     drawn = bootstrap(fitted, draws, np.random.default_rng(seed), step) if draws else None
     # Lenses are compared where something is left that a lens may explain, when that is corrected which is

@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from photocal.accuracy import ground_points
-from photocal.adjustment.adjusted import AdjustedNetwork, fit
+from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.condensed import Condensed
 from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, SHIFT, TIME, body_to_camera
@@ -156,16 +156,12 @@ def causes_of(
     table = of_rays(table) if by_navigation_fixes(block) else table
     if not len(mounted.positions.image):
         mounted = without_georeference(mounted)
-    if first is None:
-        network = assemble(mounted).network
-        try:
-            with because("the block to be tested for causes"):
-                first = fit(network)
-        except PhotocalError:
-            # Wrong control may be what hinders: the rest of the block tells.
-            return straightened(network), None
+    at_once = None
     try:
-        found = systematic_errors(first, table=table)
+        if first is None:
+            with because("the block to be tested for causes"):
+                first, at_once = straightened(assemble(mounted).network)
+        found = systematic_errors(first, at_once, table)
     except PhotocalError:
         return None, None
     apart = separation(mounted, found.shared)

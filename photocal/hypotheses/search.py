@@ -19,6 +19,7 @@ from photocal.adjustment.groups import CONTROL, GroupTest, Member, group_tests
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
 from photocal.adjustment.solution import Solution
+from photocal.adjustment.state import State
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.base.policy import policy
@@ -93,15 +94,21 @@ class SystematicErrors:
         return self.fit.passes or self.explained >= policy.explained
 
 
-def straightened(network: Network) -> SystematicErrors | None:
-    """Look for errors in a network that cannot be adjusted: without wrong control it may be."""
-    at_once = _without_wrong_control(network)
-    if at_once is None:
-        return None
+def straightened(
+    network: Network, state: State | None = None
+) -> tuple[AdjustedNetwork, SystematicError | None]:
+    """Adjust a network; where that cannot be, without control that contradicts itself.
+
+    returns: that control, too, which the search is to be told.
+    raises IllPosedError, NotConvergedError: as the adjustment does, where no control is to blame.
+    """
     try:
-        return systematic_errors(*at_once)
+        return fit(network, state), None
     except (IllPosedError, NotConvergedError):
-        return None
+        without = without_wrong_control(network)
+        if without is None:
+            raise
+        return without
 
 
 def systematic_errors(
@@ -121,7 +128,7 @@ def systematic_errors(
     bent = 25.0
     if at_once is None and first.solution.variance_factor > bent:
         # Wrong control bends the block so far that nothing else can be judged.
-        without = _without_wrong_control(first.network, first.solution)
+        without = without_wrong_control(first.network, first.solution)
         straight, at_once = without or (first, None)
     given, gross = without_gross_rays(straight)
     done()
@@ -219,7 +226,7 @@ def _placed(
     return (again, finer) if again else (accepted, search)
 
 
-def _without_wrong_control(
+def without_wrong_control(
     network: Network, solution: Solution | None = None
 ) -> tuple[AdjustedNetwork, SystematicError] | None:
     """Adjust without control that contradicts itself, or with exchanged points; None where it does not."""

@@ -467,7 +467,7 @@ def _adjusted_block(
 ) -> tuple[Result, NetworkOfBlock, Solution]:
     assembly = assemble(block)
     require_motion(block, assembly.network)
-    with _control_in_doubt(block):
+    with _control_in_doubt(assembly.network):
         assembly, solution = adjusted(assembly, snooping, report)
     components: tuple[ComponentFactor, ...] = ()
     if wanted.components:
@@ -480,14 +480,24 @@ def _adjusted_block(
 
 
 @contextmanager
-def _control_in_doubt(block: Block) -> Iterator[None]:
-    """Say of an adjustment that fails what may have bent it: control that is exchanged or far off."""
+def _control_in_doubt(network: Network) -> Iterator[None]:
+    """Say of an adjustment that fails which control has bent the block: exchanged, or far off."""
     try:
         yield
     except (IllPosedError, NotConvergedError) as refusal:
-        if (block.points.role == ROLES.index("control")).any():
-            says = "`photocal check` on the block looks for control points that are wrong or exchanged"
-            refusal.remedy = "; ".join(filter(None, (refusal.remedy, says)))
+        # What is needed of a failure only takes no time of others.
+        from photocal.hypotheses.search import without_wrong_control
+
+        without = without_wrong_control(network)
+        if without is not None:
+            wrong = without[1].hypothesis
+            names = " and ".join(wrong.subject.split())
+            says = (
+                f"first exchange the coordinates of {names}: each fits where the other is"
+                if wrong.name == "control-exchanged"
+                else f"first correct or leave out {names}: the other control contradicts that, and fits"
+            )
+            refusal.remedy = "; ".join(filter(None, (says, refusal.remedy)))
         raise
 
 

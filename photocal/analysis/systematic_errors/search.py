@@ -22,6 +22,7 @@ from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 from photocal.hypotheses.causes import coarsely_placed, of_rays
 from photocal.hypotheses.control import control_points
 from photocal.hypotheses.search import SystematicErrors, systematic_errors
+from photocal.hypotheses.selection import SystematicError
 from photocal.hypotheses.table import FAULTS
 
 
@@ -240,10 +241,17 @@ def by_navigation_fixes(network: Network) -> bool:
     return coarsely_placed(network.exposures.sigma[:, 3:], otherwise=otherwise)
 
 
-def search(first: AdjustedNetwork, done: Callable[[], None] = lambda: None) -> Search:
-    """Look for causes in an adjusted network, and at how its residuals scatter without them."""
+def search(
+    first: AdjustedNetwork,
+    done: Callable[[], None] = lambda: None,
+    at_once: SystematicError | None = None,
+) -> Search:
+    """Look for causes in an adjusted network, and at how its residuals scatter without them.
+
+    at_once: control that was taken out of it before, since nothing could be adjusted with it.
+    """
     coarse = by_navigation_fixes(first.network)
-    causes = systematic_errors(first, table=of_rays() if coarse else FAULTS, done=done)
+    causes = systematic_errors(first, at_once, of_rays() if coarse else FAULTS, done)
     last = causes.last if causes.adequate else first
     positions = shifts.position_shift(first)
     before = jackknife(first, done)

@@ -11,6 +11,7 @@ from scipy import stats
 
 import photocal
 from photocal.accuracy.standard import Question
+from photocal.adjustment.solver import ITERATIONS
 from photocal.block.model import Block
 from photocal.georeferencing.comparison import BlockCheck, check_block, differences
 from photocal.georeferencing.findings import block_findings
@@ -197,11 +198,22 @@ def test_both_commands_name_the_fault_and_nothing_else(name: str) -> None:
     assert (first[0].code, first[0].subject) == (first[1].code, first[1].subject)
 
 
-def test_a_block_that_exchanged_control_bends_is_told_where_to_look(tmp_path: Path) -> None:
-    """Two points 150 m apart with each other's names: no adjustment ends, and the check names the pair."""
+def test_exchanged_control_far_apart_that_is_adjusted_is_named(tmp_path: Path) -> None:
+    """Two points 143 m apart with each other's names: v'Pv has a minimum, if an absurd one."""
     fault = FAULTS["two control points swapped"]
-    block = flown(tmp_path, fault.design, 1, fault.errors)
-    with pytest.raises(photocal.PhotocalError, match=r"`photocal check` on the block looks for control"):
+    block = flown(tmp_path, fault.design, 0, fault.errors)
+    result = photocal.adjust(block)
+    assert result.iterations > ITERATIONS
+    first = photocal.analyse(block, result).findings[0]
+    assert (first.code, first.subject, first.severity) == ("control-exchanged", "co0 co1", "grave")
+
+
+def test_exchanged_control_that_leaves_no_minimum_is_named_by_all(tmp_path: Path) -> None:
+    """The same 152 m apart, where v'Pv falls while the principal distance shrinks to nothing."""
+    fault = FAULTS["two control points swapped"]
+    block = flown(tmp_path, fault.design, 3, fault.errors)
+    with pytest.raises(photocal.PhotocalError, match=r"first exchange the coordinates of co0 and co1"):
         photocal.adjust(block)
+    analysed = photocal.analyse(block).findings[0]
     (first, subject), *_ = found(photocal.check(block))
-    assert (first, subject) == ("control-exchanged", "co0 co1")
+    assert (analysed.code, analysed.subject) == (first, subject) == ("control-exchanged", "co0 co1")
