@@ -290,6 +290,9 @@ def _record(run: AnalysedRun, camera_id: str, particulars: Metadata) -> Calibrat
     free = tuple(name for name in camera.free if name in judged)
     place = sensor_residuals(run, camera_id).place - [camera.value("x0"), camera.value("y0")]
     convergence, spread = network_shape(run, camera_id) or (None, None)
+    # What the sides of the pixel do is known where B1 is estimated, or where the analysis has measured it.
+    found = () if run.analysis is None else run.analysis.findings
+    measured = "B1" in camera.free or any(f.code == "y-scale" and f.subject == camera_id for f in found)
     return CalibrationRecord(
         unit=camera.unit,
         values={name: camera.value(name) for name in judged},
@@ -301,7 +304,7 @@ def _record(run: AnalysedRun, camera_id: str, particulars: Metadata) -> Calibrat
         size_px=camera.size_px,
         observed_radius=float(np.hypot(*place.T).max()) if len(place) else None,
         pitch_mm=pixel_size_mm(camera, particulars),
-        pitch_ratio=camera.pitch[0] / camera.pitch[1],
+        pitch_ratio=1.0 if measured else camera.pitch[0] / camera.pitch[1],
         **given_figures(particulars.camera, particulars.campaign, particulars.gnss_ins),
         convergence_deg=convergence,
         depth_spread=spread,

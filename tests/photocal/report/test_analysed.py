@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from photocal.findings.document import (
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue
 from photocal.report.certificate import certificate
-from photocal.report.certificate_metadata import read_particulars
+from photocal.report.certificate_metadata import Metadata, read_particulars
 from photocal.report.derived_figures import derived_figures
 from photocal.report.issue import record
 from photocal.report.ministry_rows import Context, entries, read_layout
@@ -155,6 +156,21 @@ def test_a_parameter_is_as_significant_as_its_largest_standard_deviation_lets_it
         assert rows[name]["Significant"] == ("yes" if abs(t) > 1.97 else "no")
     assert rows["P₁"]["Significant"] == "no"
     assert rows["P₂"]["Images left out"] == "–"
+
+
+def test_what_the_sides_of_a_pixel_do_is_said_once(analysed: AnalysedRun, tmp_path: Path) -> None:
+    """The analysis measures the wrong scale of y; where B1 takes it, nothing is left to say of the sides."""
+    text = (DEMO / "block.toml").read_text(encoding="utf-8")
+    with_b1 = Path(shutil.copytree(DEMO, tmp_path / "block"))
+    (with_b1 / "block.toml").write_text(text.replace('"P2"]', '"P2", "B1"]'), encoding="utf-8")
+    adjust_block(with_b1, tmp_path / "run")
+    estimated = read_run(tmp_path / "run")
+    assert "B1" in estimated.result.cameras["dcs460"].free
+    for run, times in ((analysed, 0), (estimated, 0), (replace(analysed, analysis=None), 1)):
+        found = [one.code for one in derived_figures(run, "dcs460", Metadata(date=DAY)).findings]
+        assert found.count("pitch_not_square") == times
+    assert analysed.analysis is not None
+    assert "y-scale" in [one.code for one in analysed.analysis.findings]
 
 
 def test_a_limit_of_the_flight_is_no_warning(analysed: AnalysedRun) -> None:
