@@ -31,7 +31,7 @@ from photocal.geometry.frames import combined_factor
 from photocal.geometry.resection import intersect
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.georeferencing.methods import as_mounted, without_georeference, without_weak_images
-from photocal.hypotheses.causes import coarsely_placed, of_rays
+from photocal.hypotheses.causes import coarsely_placed, of_rays, points_of
 from photocal.hypotheses.control import slips
 from photocal.hypotheses.findings import Slips, no_slips
 from photocal.hypotheses.search import SystematicErrors, straightened, systematic_errors
@@ -213,7 +213,7 @@ def mistyped_of(found: SystematicErrors | None, named: Slips = no_slips) -> tupl
     for error in found.errors if found is not None and found.adequate else ():
         if error.cause is None or error.cause.fault.each != "point":
             continue
-        for k, point in enumerate(error.cause.subject.split(" ")):
+        for k, point in enumerate(points_of(found.first.network, error.cause)):
             own = error.hypothesis.estimates[3 * k : 3 * k + 3]
             d, sigma = -np.array([e.correction for e in own]), np.array([e.sigma for e in own])
             listed.append(Mistyped(point, d, sigma, named.of_point(point, d, sigma)))

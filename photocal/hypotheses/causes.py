@@ -371,6 +371,11 @@ def _of_control(
     return [*listed, several]
 
 
+def points_of(network: Network, cause: Cause) -> tuple[str, ...]:
+    """Names of the control points that a cause concerns; a name may have blanks."""
+    return tuple(network.point_names[j] for j in cause.members)
+
+
 def of_camera(entry: Fault) -> bool:
     """Whether a fault frees parameters of cameras; the others free values of the mounting."""
     return bool(entry.frees) and entry.frees[0] in PARAMETERS

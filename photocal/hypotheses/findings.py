@@ -17,7 +17,7 @@ from photocal.findings.finding import Figure, Finding, Severity, Size
 from photocal.findings.harm import Asked, harmful_from, weighed
 from photocal.geometry.camera import Camera
 from photocal.hypotheses.adequacy import Memory
-from photocal.hypotheses.causes import Cause
+from photocal.hypotheses.causes import Cause, points_of
 from photocal.hypotheses.judged import Estimate, Hypothesis
 from photocal.hypotheses.search import SystematicErrors, changed_points
 from photocal.hypotheses.selection import SystematicError
@@ -150,7 +150,7 @@ def _named(found: SystematicErrors, error: SystematicError, slips: Slips) -> lis
     if cause is not None and cause.fault.each == "pair":
         return [_exchanged(found, cause)]
     if cause is not None and cause.fault.each == "point":
-        return _mistyped(error, cause, slips, ("sigmas-too-small",) * found.undecided)
+        return _mistyped(found, error, cause, slips)
     if cause is not None and cause.trend is not None:
         return [_scale(error, cause.trend, slips.combined_factor)]
     if tested.name == "strip-position":
@@ -294,11 +294,11 @@ def _strip(found: SystematicErrors, error: SystematicError) -> Finding:
     return Finding(tested.name, "doubtful", tested.subject, figures, _rivals(error), _largest(axes))
 
 
-def _mistyped(error: SystematicError, cause: Cause, slips: Slips, rivals: tuple[str, ...]) -> list[Finding]:
+def _mistyped(found: SystematicErrors, error: SystematicError, cause: Cause, slips: Slips) -> list[Finding]:
     """Name each control point that contradicts the others: with w, and what would have been detected."""
     away = ndtri(policy.power) - ndtri(policy.significance / 2)
-    listed = []
-    for k, point in enumerate(cause.subject.split(" ")):
+    listed, rivals = [], ("sigmas-too-small",) * found.undecided
+    for k, point in enumerate(points_of(found.first.network, cause)):
         own = error.hypothesis.estimates[3 * k : 3 * k + 3]
         # Computed from the other points less given.
         d, sigma = -np.array([e.correction for e in own]), np.array([e.sigma for e in own])
@@ -329,7 +329,7 @@ def _mistyped(error: SystematicError, cause: Cause, slips: Slips, rivals: tuple[
 def _exchanged(found: SystematicErrors, cause: Cause) -> Finding:
     values = found.first.network.points.values[list(cause.members)]
     apart = float(np.linalg.norm(values[0] - values[1]))
-    figures: dict[str, Figure] = {"points": tuple(cause.subject.split(" ")), "apart_m": apart}
+    figures: dict[str, Figure] = {"points": points_of(found.first.network, cause), "apart_m": apart}
     return Finding("control-exchanged", "grave", cause.subject, figures, size=Size(apart, "m"))
 
 

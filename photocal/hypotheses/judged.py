@@ -13,7 +13,7 @@ from photocal.adjustment.solution import Solution
 from photocal.base.arrays import Floats
 from photocal.base.policy import policy
 from photocal.geometry.camera import PARAMETERS
-from photocal.hypotheses.causes import Candidates, Cause, columns_of, common_columns, of_camera
+from photocal.hypotheses.causes import Candidates, Cause, columns_of, common_columns, of_camera, points_of
 from photocal.hypotheses.control import control_points
 
 _AXES = "XYZ"
@@ -219,7 +219,7 @@ def estimates_of(
         names = (
             [cause.field.name]
             if cause.field is not None
-            else [f"{axis}[{name}]" for name in cause.subject.split(" ") for axis in _AXES]
+            else [f"{axis}[{name}]" for name in points_of(network, cause) for axis in _AXES]
         )
         return tuple(
             estimate(name, unit, float(v), 0.0, float(s))

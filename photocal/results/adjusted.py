@@ -486,15 +486,16 @@ def _control_in_doubt(network: Network) -> Iterator[None]:
         yield
     except (IllPosedError, NotConvergedError) as refusal:
         # What is needed of a failure only takes no time of others.
+        from photocal.hypotheses.causes import points_of
         from photocal.hypotheses.search import without_wrong_control
 
         without = without_wrong_control(network)
-        if without is not None:
-            wrong = without[1].hypothesis
-            names = " and ".join(wrong.subject.split())
+        cause = None if without is None else without[1].cause
+        if cause is not None:
+            names = ", ".join(points_of(network, cause))
             says = (
                 f"first exchange the coordinates of {names}: each fits where the other is"
-                if wrong.name == "control-exchanged"
+                if cause.fault.code == "control-exchanged"
                 else f"first correct or leave out {names}: the other control contradicts that, and fits"
             )
             refusal.remedy = "; ".join(filter(None, (says, refusal.remedy)))

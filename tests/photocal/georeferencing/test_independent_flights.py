@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -208,11 +209,28 @@ def test_exchanged_control_far_apart_that_is_adjusted_is_named(tmp_path: Path) -
     assert (first.code, first.subject, first.severity) == ("control-exchanged", "co0 co1", "grave")
 
 
+@pytest.mark.parametrize(
+    ("name", "code", "points"),
+    [
+        ("two control points swapped", "control-exchanged", ["co 0 co 1"]),
+        ("two control points, 30 cm Z", "control-mistyped", ["co 1", "co 3"]),
+    ],
+)
+def test_names_of_control_points_have_blanks(tmp_path: Path, name: str, code: str, points: list[str]) -> None:
+    fault = FAULTS[name]
+    block = flown(tmp_path, fault.design, 0, fault.errors)
+    spaced = tuple(re.sub(r"^co(\d+)$", r"co \1", point) for point in block.points.names)
+    block = replace(block, points=replace(block.points, names=spaced))
+    named = [(one.code, one.subject) for one in photocal.analyse(block).findings if one.code == code]
+    assert sorted(named) == [(code, point) for point in points]
+    assert [one for one in found(photocal.check(block)) if one[0] == code] == named
+
+
 def test_exchanged_control_that_leaves_no_minimum_is_named_by_all(tmp_path: Path) -> None:
     """The same 152 m apart, where v'Pv falls while the principal distance shrinks to nothing."""
     fault = FAULTS["two control points swapped"]
     block = flown(tmp_path, fault.design, 3, fault.errors)
-    with pytest.raises(photocal.PhotocalError, match=r"first exchange the coordinates of co0 and co1"):
+    with pytest.raises(photocal.PhotocalError, match=r"first exchange the coordinates of co0, co1"):
         photocal.adjust(block)
     analysed = photocal.analyse(block).findings[0]
     (first, subject), *_ = found(photocal.check(block))
