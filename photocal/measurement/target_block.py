@@ -112,7 +112,7 @@ def measure_field(
     """Measure the corners of coded targets without coordinates and make the block that calibrates the camera.
 
     Corners count as independent. Those beside each other share an edge, and their errors across it are
-    correlated by -0.5: the camera's sigmas come out up to 1.4 times as large as its errors.
+    correlated by -0.5: by that alone the camera's sigmas are 1.4 times as large as its errors.
 
     lens: what an image states, with what is said of the lens.
     cache: folder where what was measured is kept by the content of the picture.

@@ -97,8 +97,8 @@ def rendered_lines(fields: list[tuple[Floats, int, int, float]]) -> list[str]:
         "",
         f"All: rms {np.sqrt(np.mean(errors**2)):.2f} sigma. {used} corners used, {rejected} rejected;",
         f"common sigma of a corner {common:.4f} px. Corners beside each other share an edge, whose ends are",
-        "correlated by -0.5. They count as independent, so that sigmas of the camera are some 1.4 times as",
-        "large as they need be: an rms of 0.7 is to be expected.",
+        "correlated by -0.5. They count as independent, which errs on the safe side: simulated readings so",
+        "correlated leave an rms of 0.7.",
     ]
 
 
