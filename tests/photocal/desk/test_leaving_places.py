@@ -57,7 +57,7 @@ def go(page: Page, place: str) -> None:
 
 def test_look_waits_for_its_styles(page: Page) -> None:
     with held(page, "**/look/look.css"):
-        with page.expect_response("look"), page.expect_response("**/api/look/findings*"):
+        with page.expect_response("**/api/look"), page.expect_response("**/api/look/findings*"):
             go(page, "look/point/G1")
         # All else has come; a map that was drawn by now would have no height.
         page.wait_for_timeout(1000)
