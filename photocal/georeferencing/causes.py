@@ -209,8 +209,10 @@ def slips_of(block: Block, assembly: NetworkOfBlock) -> Slips:
 
 def mistyped_of(found: SystematicErrors | None, named: Slips = no_slips) -> tuple[Mistyped, ...]:
     """Control points that contradict the others, with the slips that explain them."""
+    if found is None or not found.adequate:
+        return ()
     listed = list[Mistyped]()
-    for error in found.errors if found is not None and found.adequate else ():
+    for error in found.errors:
         if error.cause is None or error.cause.fault.each != "point":
             continue
         for k, point in enumerate(points_of(found.first.network, error.cause)):

@@ -62,8 +62,11 @@ def english() -> frozenset[str]:
     """Words of the documentation and of the English catalogue that no Portuguese text has."""
     prose = "\n".join(path.read_text(encoding="utf-8") for path in pages())
     prose = re.sub(r"```.*?```|`[^`]*`|\]\([^)]*\)", " ", prose, flags=re.DOTALL)
+    # One by one: a text may have one quotation mark, as of inches.
     ours, theirs = (
-        words("\n".join(re.sub(r"\{[^}]*\}", " ", text) for text in catalogue(language).messages.values()))
+        set[str]().union(
+            *(words(re.sub(r"\{[^}]*\}", " ", text)) for text in catalogue(language).messages.values())
+        )
         for language in ("en", "pt-BR")
     )
     of_studies = words("\n".join(path.read_text(encoding="utf-8") for path in STUDIES.glob("*/study.toml")))

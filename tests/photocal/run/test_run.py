@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from photocal.base.codec import parsed_json
-from photocal.base.errors import ConfigurationError, InputNotFoundError, NotConvergedError
+from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.cli import app
@@ -183,18 +184,36 @@ def test_a_flight_without_fault_has_no_warning(tmp_path: Path) -> None:
     assert abs(camera["value"] - 12.0) < 3 * camera["sigma"]
 
 
-def test_a_run_that_fails_tells_why(tmp_path: Path) -> None:
-    """A control point 200 m off: no adjustment ends, and the check of the ground points names it."""
-    path = project(tmp_path, Errors())
-    points = tmp_path / "block" / "points.csv"
+def with_control_off(folder: Path, off_m: float) -> tuple[Path, str]:
+    """Project whose first control point is off in X, and the name of that point."""
+    path = project(folder, Errors())
+    points = folder / "block" / "points.csv"
     head, *rows = points.read_text(encoding="utf-8").splitlines()
     first = next(k for k, row in enumerate(rows) if row.endswith("control"))
     name, x, *rest = rows[first].split(",")
-    rows[first] = ",".join([name, f"{float(x) + 200:.4f}", *rest])
+    rows[first] = ",".join([name, f"{float(x) + off_m:.4f}", *rest])
     points.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    return path, name
+
+
+def test_control_that_bends_the_block_is_named_first(tmp_path: Path) -> None:
+    """A control point 200 m off: the adjustment ends at an absurd minimum, and the verdict says of what."""
+    path, name = with_control_off(tmp_path, 200.0)
     said = run(str(path))
-    assert isinstance(said.exception, NotConvergedError)
-    assert f"warning: control-mistyped: Control point {name} contradicts" in said.stderr
+    assert said.exception is None
+    verdict = said.stdout.partition("verdict")[2]
+    assert "not fit for mapping as it stands" in verdict.splitlines()[0]
+    assert verdict.splitlines()[0].endswith(f"measurements of {name}.")
+    assert f"* Control point {name} contradicts" in verdict.splitlines()[1]
+
+
+def test_a_run_that_fails_tells_why(tmp_path: Path) -> None:
+    """A control point 5 km off: no image finds its place, and the refusal names the point."""
+    path, name = with_control_off(tmp_path, 5000.0)
+    said = run(str(path))
+    assert isinstance(said.exception, IllPosedError)
+    assert re.search(rf"\b{name}\b", str(said.exception))
+    assert "warning: method-refused" in said.stderr
     assert not (tmp_path / "work" / "certificate").exists()
 
 
