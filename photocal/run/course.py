@@ -15,7 +15,7 @@ from photocal.base.progress import Progress, Standing
 COMPILING = "compiling"
 # Seconds that a stage takes at first, for each picture, each megapixel and each thousand rays, on two cores.
 _USUAL = {
-    COMPILING: (20.0, 0.0, 0.0, 0.0),
+    COMPILING: (50.0, 0.0, 0.0, 0.0),
     "ppk": (10.0, 0.0, 0.0, 0.0),
     "exposures": (1.0, 0.01, 0.0, 0.0),
     "measurements": (5.0, 0.1, 0.13, 0.0),
