@@ -25,7 +25,7 @@ FOLDER = ".desk"
 # The long ones, by name; one at a time works in the folder of a project.
 RUN, DEBRIEF = "run", "debrief"
 _PROGRAM = (sys.executable, "-P", "-m", "photocal")
-_ERROR = re.compile("erro?r?: ")
+_ERROR = re.compile("(?:error|erro): ")
 
 
 def asked(arguments: Sequence[str | Path], environment: Mapping[str, str] | None = None) -> Any:

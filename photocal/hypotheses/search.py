@@ -19,6 +19,7 @@ from photocal.adjustment.groups import CONTROL, GroupTest, Member, group_tests
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
 from photocal.adjustment.solution import Solution
+from photocal.adjustment.solver import BENT
 from photocal.adjustment.state import State
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
@@ -123,11 +124,9 @@ def systematic_errors(
     raises IllPosedError, NotConvergedError: when not even the given network can be judged.
     """
     straight = first
-    # Control beyond this variance factor bends the block: its points are predicted by an adjustment without
-    # it.
-    bent = 25.0
-    if at_once is None and first.solution.variance_factor > bent:
-        # Wrong control bends the block so far that nothing else can be judged.
+    if at_once is None and first.solution.variance_factor > BENT:
+        # Wrong control bends the block so far that nothing else can be judged: its points are predicted by
+        # an adjustment without it.
         without = without_wrong_control(first.network, first.solution)
         straight, at_once = without or (first, None)
     given, gross = without_gross_rays(straight)
