@@ -50,6 +50,13 @@ class Row:
         return f"{self.words.format(*(cells[cell] for cell in self.cells))} ([table]({self.source}))"
 
 
+# Lines of `ppk_fixes.md` that tempt an engine to fix wrongly.
+TRAPS = (
+    "two frequencies, strong multipath and weak signals",
+    "one frequency, a slip every minute",
+    "one frequency, strong multipath, each signal slips every 10 s",
+    "one frequency, between houses",
+)
 _RECORDING = "tests/acquire/recording/"
 ROWS = (
     Row("0", "helper threads frozen, slowed, failing, killed", "200 times at random", "no due frame lost",
@@ -134,6 +141,17 @@ ROWS = (
         "{}", "packages locked with hashes", (2,)),
     Row("10", "two builds of the wheel", "`make audit`", "one hash", "supply_chain.md", "{}",
         "two builds of the wheel", (2,)),
+    Row("11", "PPK of a receiver that moves, one frequency", "a recording beside the receiver's own fixes",
+        "700 of 1881 epochs fixed, none off by 0.1 m", "tests/photocal/navigation/test_ppk_figures.py",
+        "held"),
+    Row("11", "sigmas of epochs that are not fixed", "two such recordings",
+        "below 2 (rms of error/sigma), each axis",
+        "tests/photocal/navigation/test_ppk_figures.py", "held"),
+    *(
+        Row("11", f"fixes: {case}", "5 simulated flights of known truth", "none off by 0.1 m", "ppk_fixes.md",
+            "{} of {} epochs fixed, {} of these wrong", f"{case} |", (4, 1, 5))
+        for case in TRAPS
+    ),
 )  # fmt: skip
 FORBIDDEN = (
     "The device mapper (`dm-flakey`, `dm-log-writes`): not in the kernel where this was made. Instead the",
@@ -160,7 +178,8 @@ def main() -> None:
         *(f"| {r.part} | {r.test} | {r.how} | {r.asked} | {r.seen()} |" for r in ROWS),
         "",
         "Parts: 0 what stops or stalls a recorder, 1 power cuts, 2 media, 3 long days, 4 low means, 5 pages",
-        "and sockets, 6 files from strangers, 7 stages, 8 certificates, 9 clusters, 10 supply chain.",
+        "and sockets, 6 files from strangers, 7 stages, 8 certificates, 9 clusters, 10 supply chain,",
+        "11 fixes and sigmas of PPK.",
         "",
         "## What could not be tried, and the next best",
         "",
