@@ -56,8 +56,7 @@ def read_gcp_rows(path: Path) -> tuple[str, tuple[GcpRow, ...], tuple[InputMalfo
     returns: the system as the first line calls it, empty where that is a row already; rows; refusals.
     raises InputMalformedError: when no row can be read.
     """
-    lines = read_lines(path, comment="#")
-    system, lines = _system(lines)
+    system, lines = _system(read_lines(path, comment="#", windows=True))
     rows, refused = list[GcpRow](), list[InputMalformedError]()
     for line in lines:
         try:

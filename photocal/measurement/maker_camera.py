@@ -385,6 +385,9 @@ def _frame(pictures: Mapping[Path, ImageFacts], keys: Keys, by: str) -> Iterable
         # A head is one camera.
         if len({_camera_key(pictures[path]) for path, other in head.items() if other == name}) > 1:
             return
+    # Pictures are read by their names.
+    if len({path.name for path in head}) < len(head):
+        return
     if all(_together([pictures[path] for path in paths]) for paths in shared.values()):
         order = sorted(often, key=lambda name: _rank(name, head, pictures))
         yield HeadGroup(tuple(order), head, {path: keys[path][1] for path in head}, by)

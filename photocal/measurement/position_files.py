@@ -39,14 +39,16 @@ _HEIGHT = (
     "z", "h", "height", "elevation", "altitude", "alt", "elev", "cota", "elevação", "altura",
     "ellipsoidal height", "orthometric height", "altitude elipsoidal", "ortho. height", "ellip. height",
     "altitude ortométrica", "altitude geométrica", "elevación", "altitud", "höhe", "hoehe", "z/altitude",
-    "hgt", "quota", "altezza", "hauteur", "level", "up",
+    "hgt", "quota", "altezza", "hauteur", "level", "up", "wysokość", "rzędna", "wys",
 )  # fmt: skip
 _METRES = {
     "X": (
         "x", "e", "east", "easting", "este", "leste", "est", "rechtswert", "ost", "x/easting", "ostwert",
+        "wschód",
     ),
     "Y": (
         "y", "n", "north", "northing", "norte", "nord", "hochwert", "y/northing", "nordwert",
+        "północ",
     ),
 }  # fmt: skip
 _DEGREES = {"X": _LONGITUDE, "Y": _LATITUDE}
@@ -58,7 +60,10 @@ PLACE_HEADS = {
     "sY": ("sy", "sn", "sigma_y", "sigma_n", "accuracy_y"),
     "sZ": ("sz", "sh", "su", "sigma_z", "sigma_h", "accuracy_z"),
 }
-IMAGE_HEADS = ("image", "imagem", "photo", "foto", "picture", "file", "filename", "arquivo")
+IMAGE_HEADS = (
+    "image", "imagem", "photo", "foto", "picture", "file", "filename", "arquivo", "imagen", "immagine",
+    "bild", "cliché", "zdjęcie", "nome da imagem", "nome imagem", "photo name", "bildname",
+)  # fmt: skip
 
 
 class UnbelievableListError(InputMalformedError):
