@@ -104,6 +104,7 @@ class ControlMarks:
     without_coordinates: points that have marks but no coordinates: they are left out.
     rows: of the list, where it has one for each mark.
     refused: those that are not used, with the reason.
+    doubtful: what looks like a slip in others.
     assumed: points whose sigmas nobody states: they are along east, north and up in any system.
     file, cameras: where they were read, and the cameras of another program's set-up.
     unit_m: metres of the unit that heads state.
@@ -118,6 +119,7 @@ class ControlMarks:
     without_coordinates: tuple[str, ...] = ()
     rows: int = 0
     refused: tuple[str, ...] = ()
+    doubtful: tuple[str, ...] = ()
     assumed: frozenset[str] = frozenset()
     file: Path = Path()
     cameras: tuple[Camera, ...] = ()
@@ -171,7 +173,9 @@ def read_typed_list(path: Path, sigma_m: Sigma, say: Catalogue) -> ControlMarks:
     entries = [PointEntry(name, "control", xyz, (sigma_m[0], *sigma_m)) for name, xyz in places.items()]
     rows = len(given) + len(unreadable)
     points = object_points(entries)
-    return ControlMarks(crs, points, tuple(marks.values()), (), rows, tuple(refused), frozenset(places))
+    return ControlMarks(
+        crs, points, tuple(marks.values()), (), rows, tuple(refused), assumed=frozenset(places)
+    )
 
 
 def in_map_system(given: ControlMarks) -> ControlMarks:

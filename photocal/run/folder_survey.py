@@ -48,9 +48,11 @@ _MARKED_HEADS = (
     {**HEADS, **_IN_IMAGE, "X": HEADS["X"][1:], "Y": HEADS["Y"][1:]},
     {**HEADS, **_IN_IMAGE, "x": _IN_IMAGE["x"][1:], "y": _IN_IMAGE["y"][1:]},
 )
-CHECKS = ("check", "checagem", "verificação", "verificacao", "checkpoint", "check point")
+CHECKS = ("check", "checagem", "verificação", "verificacao", "checkpoint", "check point", "cp", "chk")
+_CONTROLS = ("", "control", "controle", "apoio", "gcp", "control point", "3d gcp")
 _LOGS, _RAW_LOGS = (".mcap",), (".tlog", ".bin", ".ulg", ".ubx")
 _TABLES = (".csv", ".txt")
+_NO_TEXTS = (".xlsx", ".xls", ".ods", ".kml", ".kmz", ".shp", ".gpkg", ".dxf", ".gpx")
 _RINEX = (".obs", ".nav", ".rnx")
 # Who speaks of pictures does so at once.
 _HEAD_BYTES = 1 << 16
@@ -130,6 +132,9 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
             control = _control(path, sizes, seen.unread, say)
             if control is not None:
                 (seen.control if control.points.names else seen.marks).append(control)
+    # Whoever has points in one of these finds no word of them otherwise.
+    sheets = [path for path in files if path.suffix.lower() in _NO_TEXTS and not seen.control]
+    seen.unread += [say("new.no_text", place=path) for path in sheets]
     return seen
 
 
@@ -318,7 +323,7 @@ def _table(path: Path, sizes: Sizes, say: Catalogue) -> ControlMarks:
         if first[place] != row
         for same in [bool((places[row] == places[first[place]]).all())]
     ]
-    return _of_table(table, places[first], replace(given, refused=(*given.refused, *again)), first)
+    return _of_table(table, places[first], replace(given, refused=(*given.refused, *again)), first, say)
 
 
 def _of_marked_table(
@@ -339,10 +344,13 @@ def _of_marked_table(
         else:
             marks[pair] = Mark(*pair, x, y, (BY_HAND_PX, BY_HAND_PX), where)
     listed = replace(given, rows=len(table) + len(given.refused), refused=tuple(refused))
-    return _of_table(table, places[first], replace(listed, marks=named_after(marks.values(), sizes)), first)
+    listed = replace(listed, marks=named_after(marks.values(), sizes))
+    return _of_table(table, places[first], listed, first, say)
 
 
-def _of_table(table: TextTable, places: Floats, given: ControlMarks, rows: Integers) -> ControlMarks:
+def _of_table(
+    table: TextTable, places: Floats, given: ControlMarks, rows: Integers, say: Catalogue
+) -> ControlMarks:
     """Points of those rows of a table; what the table does not say of their precision is assumed."""
     names, stated = table.names("point")[1], table.has("sX")
     sigma = np.column_stack(
@@ -355,6 +363,11 @@ def _of_table(table: TextTable, places: Floats, given: ControlMarks, rows: Integ
     if table.has("role"):
         words = table.texts("role")
         roles = ["check" if words[row].lower() in CHECKS else "control" for row in rows]
+        unclear = [row for row in rows.tolist() if words[row].lower() not in (*CHECKS, *_CONTROLS)]
+        # Under other heads stand kinds of all sorts.
+        if unclear and folded(table.heads["role"]) == "role":
+            told = [say("new.role_unknown", place=table.place(row), role=words[row]) for row in unclear]
+            given = replace(given, doubtful=tuple(told))
     sigma[np.array(roles) == "check"] = np.where(stated, sigma[np.array(roles) == "check"], np.inf)
     role = np.array([ROLES.index(name) for name in roles], dtype=np.int64)
     points = ObjectPoints(names, places, sigma, role)

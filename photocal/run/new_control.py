@@ -110,6 +110,7 @@ def settle(
     if given is not None:
         given = _as_stated(given, placed, made)
         made.points, made.assumed = given.points, given.assumed
+        made.doubtful += given.doubtful
         made.rows, made.refused, made.level = given.rows, list(given.refused), given.level
         _with_names(made, given, folder, others)
         renamed = replace(given, marks=named_after(given.marks, [image.name for image in facts], others))

@@ -424,6 +424,7 @@ class _Text:
         counted = {"points": len(points.names), "marks": len(self.marks), "images": images}
         comment = say("new.control", **counted, file=self._beside(given.file))
         self.known.append(say("new.control_known", text=comment))
+        self._other_control(given)
         yield f"\n[control]  # {comment}"
         sigma = dict(zip(("plane", "height"), map(say.as_given, ASSUMED_M), strict=True))
         yield 'points = "control.csv"' + (f"  # {say('new.control_sigma', **sigma)}" if given.assumed else "")
@@ -437,6 +438,24 @@ class _Text:
             self.missing.append(say("new.few_marked", n=marked, fewest=policy.fewest_control))
         if not points.of_role("check").any():
             self.missing.append(say("new.no_checks"))
+
+    def _other_control(self, given: ControlMarks) -> None:
+        """Name other files of control that say something else than the one that is used."""
+        own = dict(zip(given.points.names, given.points.values, strict=True))
+        for other in self.seen.control:
+            listed = dict(zip(other.points.names, other.points.values, strict=True))
+            away = {name: np.abs(place - own[name]).max() for name, place in listed.items() if name in own}
+            # Millimetres are of rounding; what is so far away is in another system.
+            same_m, elsewhere_m = 0.002, 1000.0
+            unlike = [name for name in listed if not away.get(name, np.inf) < same_m]
+            named = {"file": self._beside(other.file), "used": self._beside(given.file)}
+            if other.file == given.file or not unlike:
+                continue
+            if away and np.median(list(away.values())) < elsewhere_m:
+                told = some_names(unlike, self.say)
+                self.control.doubtful.append(self.say("new.other_control", names=told, **named))
+            else:
+                self.known.append(self.say("new.control_left", **named))
 
     def _beside(self, path: Path | None) -> str:
         return "" if path is None else Path(os.path.relpath(path, self.folder)).as_posix()

@@ -189,9 +189,40 @@ def dashes(rows: Rows) -> dict[tuple[str, str], str]:
     return {("gcp_list.txt", "utf-8"): "\n".join([CRS, *lines]) + "\n"}
 
 
+def misspelled(rows: Rows) -> dict[tuple[str, str], str]:
+    """The role of a point is no word of ours."""
+    text = places(rows, "name,E,N,Z,role", "{p},{e},{n},{u},control").splitlines()
+    text[2] = text[2].replace("control", "chekc")
+    marks = shown(rows, "image,point,x,y\n", half=0.0)
+    return {("points.csv", "utf-8"): "\n".join(text) + "\n", ("marks.csv", "utf-8"): marks}
+
+
+def contradicting(rows: Rows) -> dict[tuple[str, str], str]:
+    """A table beside the list has another place of a point."""
+    moved = [replace(r, place=(r.place[0] + 3, *r.place[1:])) if r.name == "G3" else r for r in rows]
+    listed = "\n".join([CRS, *(row.text() for row in rows)]) + "\n"
+    return {("gcp_list.txt", "utf-8"): listed, ("points.csv", "utf-8"): places(moved, *PLAIN[1:])}
+
+
+def spreadsheet(_: Rows) -> dict[tuple[str, str], str]:
+    """Points in a file of a spreadsheet."""
+    return {("pontos.xlsx", "utf-8"): "PK"}
+
+
 @pytest.mark.parametrize(
     ("files", "english", "portuguese"),
     [
+        (
+            misspelled,
+            "points.csv, line 3: the role 'chekc' is neither control nor check",
+            "points.csv, line 3: o papel 'chekc' não é control nem check",
+        ),
+        (
+            contradicting,
+            "points.csv has other places of G3 than gcp_list.txt",
+            "points.csv tem outras posições de G3 que gcp_list.txt",
+        ),
+        (spreadsheet, "pontos.xlsx: is not read; if it has control", "pontos.xlsx: não é lido; se tem"),
         (lacking, "points.csv, line 3: Z of G2 is empty", "points.csv, line 3: falta Z de G2"),
         (
             twofold,
@@ -219,6 +250,12 @@ def test_a_slip_is_named(
         made(pictures, tmp_path / str(k), files)
         found = new(photocal, tmp_path / str(k), *more)
         assert any(said in line for line in (*found["doubtful"], *found["missing"])), found
+
+
+def test_the_system_may_stand_in_a_comment(pictures: Path, tmp_path: Path, photocal: Photocal) -> None:
+    site_folder(pictures, tmp_path / "f", first=f"# {CRS}")
+    assert photocal("new", tmp_path / "f").code == 0
+    assert f'crs = "{CRS}"' in (tmp_path / "f/project.toml").read_text()
 
 
 @pytest.mark.parametrize("named", [False, True], ids=["names", "folders and names"])
