@@ -235,7 +235,11 @@ def spreadsheet(_: Rows) -> dict[tuple[str, str], str]:
             "a altitude de G5 é 0, as dos outros são de cerca de 110,0",
         ),
         (stray, "marked, but without coordinates: G99", "com marcas, mas sem coordenadas: G99"),
-        (dashes, "gcp_list.txt, line 8: ground point is '-', not a number", "line 8: '-' não é um número"),
+        (
+            dashes,
+            "gcp_list.txt, line 8: ground point is '-', not a number",
+            "line 8: o ponto de apoio tem '-', que não",
+        ),
     ],
 )
 def test_a_slip_is_named(
