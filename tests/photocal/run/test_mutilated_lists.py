@@ -1,6 +1,6 @@
 """Mutilated control lists and folders through `new` and `run --until control`: nothing is lost silently.
 
-The study `tests/evidence/mutilated_lists.py` tries 2000 others.
+The study `tests/evidence/mutilated_lists.py` tries 2000; these are its first.
 """
 
 from __future__ import annotations
