@@ -3,7 +3,7 @@
 import codecs
 import re
 import unicodedata
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -208,7 +208,8 @@ def read_under(path: Path, heads: Mapping[str, Sequence[str]], required: Iterabl
     """
     table = read_columns(path)
     given = table.columns.column_names
-    whole = [folded(name) for name in given]
+    known = {folded(word) for words in heads.values() for word in words}
+    whole = [_headed(name, known) for name in given]
     short = [shortened(name) for name in whole]
     place = {}
     for key, words in heads.items():
@@ -220,6 +221,12 @@ def read_under(path: Path, heads: Mapping[str, Sequence[str]], required: Iterabl
         raise InputNotFoundError(f"has no column {missing[0]} (found {', '.join(names)})", where=path)
     columns = table.columns.select(list(place.values())).rename_columns(list(place))
     return replace(table, columns=columns, heads={key: given[k] for key, k in place.items()})
+
+
+def _headed(name: str, known: Container[str]) -> str:
+    """A folded head; of an axis that has the direction in brackets, as in "X (north)", this direction."""
+    axis = re.fullmatch(r"\s*[XYxy]\s*[(\[]\s*(\w{4,})\s*[)\]]\s*", name)
+    return folded(axis[1]) if axis and folded(axis[1]) in known else folded(name)
 
 
 def folded(head: str) -> str:
@@ -300,7 +307,8 @@ def _head(path: Path) -> tuple[str, int, str]:
         # A character may be cut at the end of what was read.
         head = codecs.getincrementaldecoder(encoding)().decode(start)
     except UnicodeDecodeError:
-        encoding, head = "cp1252", start.decode("cp1252", "replace")
+        encoding = windows_encoding(start)
+        head = start.decode(encoding, "replace")
     lines = head.lstrip("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")[:_TITLES]
     cells = [sum(bool(cell.strip()) for cell in re.split("[,;\t]", line)) for line in lines]
     titles = next((k for k, count in enumerate(cells) if count > 1), 0)
@@ -308,6 +316,12 @@ def _head(path: Path) -> tuple[str, int, str]:
     fewest = 4
     titles = titles if cells[titles] >= fewest else 0
     return encoding, titles, lines[titles]
+
+
+def windows_encoding(content: bytes) -> str:
+    """Code page of a text that is no UTF-8: the western one, or that of Polish letters between others."""
+    # What they are in the western one, superscripts and signs of money, stands in no word.
+    return "cp1250" if re.search(rb"[a-z\xf3][\xb3\xb9\xbf][a-z]|\x9c\xe6", content.lower()) else "cp1252"
 
 
 def _cut(path: Path, message: str) -> InputMalformedError:

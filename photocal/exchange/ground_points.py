@@ -23,7 +23,7 @@ from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block
 from photocal.exchange.exporting import Choices
 from photocal.exchange.parts import Mark, digits, require_no_blanks, require_unique
-from photocal.exchange.source import Line, number, numbers, read_lines
+from photocal.exchange.source import Line, number, numbers, read_lines, read_text
 from photocal.geometry.conversion import Conversion
 from photocal.geometry.rotation import matrix_from_angles, turned_left
 
@@ -56,8 +56,11 @@ def read_gcp_rows(path: Path) -> tuple[str, tuple[GcpRow, ...], tuple[InputMalfo
     returns: the system as the first line calls it, empty where that is a row already; rows; refusals.
     raises InputMalformedError: when no row can be read.
     """
-    lines = read_lines(path, comment="#")
-    system, lines = _system(lines)
+    system, lines = _system(read_lines(path, comment="#", windows=True))
+    first = read_text(path, windows=True).lstrip().partition("\n")[0]
+    if not system and (named := re.fullmatch(r"#\s*(EPSG[ :=]*\d{4,6})\s*", first, re.IGNORECASE)):
+        # The system as a comment.
+        system = _odm_system(named[1])
     rows, refused = list[GcpRow](), list[InputMalformedError]()
     for line in lines:
         try:

@@ -13,7 +13,7 @@ from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from photocal.base.errors import InputMalformedError, InputNotFoundError
-from photocal.base.text_tables import MARKS, require_file
+from photocal.base.text_tables import MARKS, require_file, windows_encoding
 from photocal.block.model import InputFile
 from photocal.block.model import fingerprint as plain_fingerprint
 
@@ -62,8 +62,10 @@ def require_readable(path: Path) -> int:
     return size
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, *, windows: bool = False) -> str:
     """Read a text file: UTF-8, or UTF-16 with its mark.
+
+    windows: whether it may be in a code page of Windows, as spreadsheets write texts.
 
     raises InputNotFoundError: when it is missing, empty or a folder.
     raises InputMalformedError: when it is not text of these encodings.
@@ -74,6 +76,8 @@ def read_text(path: Path) -> str:
     try:
         text = content.decode(encoding)
     except UnicodeDecodeError as failure:
+        if windows and encoding == "utf-8":
+            return _plain(content.decode(windows_encoding(content), "replace"), path)
         line = content[: failure.start].count(b"\n") + 1
         raise InputMalformedError(
             f"is not {encoding.removesuffix('-sig').upper()} text (byte 0x{content[failure.start]:02x})",
@@ -86,17 +90,27 @@ def read_text(path: Path) -> str:
             "copy it again as a binary file, or save it as UTF-8",
             where=path,
         )
+    return _plain(text, path)
+
+
+def _plain(text: str, path: Path) -> str:
+    """Give a text with the line ends of ours; what has no letters of a text is none."""
     if "\0" in text:
         raise InputMalformedError("is not a text file", "is it the right file?", where=path)
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    # Programs of DOS end a text with this sign.
+    return text.replace("\r\n", "\n").replace("\r", "\n").rstrip("\x1a")
 
 
-def read_lines(path: Path, comment: str = "#") -> list[Line]:
+def read_lines(path: Path, comment: str = "#", *, windows: bool = False) -> list[Line]:
     """Read the lines of a text file that have content.
+
+    windows: as of `read_text`.
 
     raises InputNotFoundError, InputMalformedError: as `read_text`.
     """
-    lines = (Line(path, k, text) for k, text in enumerate(read_text(path).split("\n"), start=1))
+    lines = (
+        Line(path, k, text) for k, text in enumerate(read_text(path, windows=windows).split("\n"), start=1)
+    )
     return [
         line
         for line in lines
@@ -115,8 +129,9 @@ def number(cell: str, place: object, what: str) -> float:
         value = float(text.replace("_", "?"))
     except ValueError:
         comma = _DECIMAL_COMMA.fullmatch(text) is not None
+        said = f"{what} is {text[:40]!r}, written with a decimal comma" if comma else ""
         raise InputMalformedError(
-            f"{what} is {text[:40]!r}, " + ("written with a decimal comma" if comma else "not a number"),
+            said or f"{what} is {text[:40]!r}, not a number",
             "write numbers with a decimal point" if comma else "correct it",
             where=place,
         ) from None

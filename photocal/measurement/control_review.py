@@ -114,7 +114,7 @@ def twins(points: ObjectPoints, say: Catalogue) -> Iterator[str]:
 
 
 def heights_apart(points: ObjectPoints, say: Catalogue) -> Iterator[str]:
-    """Heights that would agree with the others if they were in feet, or had the other sign."""
+    """Heights of zero, and such that would agree with the others in feet, or with the other sign."""
     heights = points.values[:, 2]
     known = np.flatnonzero(np.isfinite(points.values).all(axis=1) & ~points.of_role("tie"))
     if len(known) < 3:
@@ -128,6 +128,9 @@ def heights_apart(points: ObjectPoints, say: Catalogue) -> Iterator[str]:
     )
     limit = max(20.0 * usual, 0.2 * min(width, 1000.0), 5.0)
     for k in known:
+        if heights[k] == 0.0 and abs(middle) > limit:
+            yield say("new.height_zero", point=points.names[k], middle=say.fixed(middle, 1))
+            continue
         for slip, there in (("new.height_feet", heights[k] * FOOT_M), ("new.height_sign", -heights[k])):
             if abs(heights[k] - middle) > limit and abs(there - middle) < 0.1 * limit + usual:
                 yield say(slip, point=points.names[k], height=say.as_given(heights[k]))

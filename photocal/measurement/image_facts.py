@@ -287,6 +287,8 @@ def facts_of_tags(
     moment = as_text(tags.get("EXIF:DateTimeOriginal")) or as_text(tags.get("EXIF:DateTime"))
     laser = as_positive(stated(tags, _dji_keys("laser_m", "LRFTargetDistance")))
     hit = as_text(stated(tags, _dji_keys("laser_m", "LRFStatus"))).lower() in ("", "normal")
+    # No rangefinder of these cameras sees farther (DJI, specifications of the Zenmuse H30); 9999 is no shot.
+    hit = hit and not laser > 3000.0
     sequoia = "Sequoia" in as_text(stated(tags, ("Camera:RigName",)))
     return ImageFacts(
         name,

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.mrk import COLUMNS
+from drivers.mrk import COLUMNS, parse_event
 from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.errors import InputMalformedError
 from photocal.base.geodesy import enu_offsets
 from photocal.base.time_scales import WEEK_S
 from photocal.findings.finding import Finding, Severity
@@ -38,6 +39,28 @@ class ListedPositions:
     place: Floats
     sigma_m: Floats
     number: Integers
+
+
+def read_event_lines(lines: Sequence[str], where: object) -> tuple[Floats, tuple[str, ...]]:
+    """Read the events of a list: columns as of `drivers.mrk` (n, 13), and what names the line of each.
+
+    raises InputMalformedError: for a line that is no event; a list that was changed is not believed.
+    """
+    rows = list[tuple[float, ...]]()
+    names = list[str]()
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        values = parse_event(line)
+        if values is None:
+            raise InputMalformedError(
+                "is not an event (number, time, week, offsets N E V, Lat, Lon, Ellh, sigmas, Q)",
+                "give the unchanged file of the vehicle",
+                where=f"{where}, line {number}",
+            )
+        rows.append(values)
+        names.append(f"line {number}")
+    return np.array(rows).reshape(-1, len(COLUMNS)), tuple(names)
 
 
 def listed_events(events: Floats, lines: Sequence[str]) -> ListedPositions:

@@ -274,36 +274,43 @@ def tag_finding(camera: Camera) -> Finding | None:
     """
     if not camera.stated_by or camera.given is None or camera.sigma is None:
         return None
+    # A flat flight leaves c open, and all else is known: then the tag is compared at the c that was found.
+    for names in (camera.free, tuple(name for name in camera.free if name != "c")):
+        px, sigma_px = _at_worst_corner(camera, names)
+        if px < policy.small_px or not px >= policy.times_999 * sigma_px:
+            continue
+        moved = np.abs(camera.values - camera.given)
+        wrong = tuple(n for n in names if moved[PARAMETERS.index(n)] > policy.times_999 * camera.sigma_of(n))
+        figures = {"camera": camera.id, "tag": camera.stated_by, "px": px, "sigma_px": sigma_px}
+        return Finding(CODE, "note", camera.id, {**figures, "names": wrong or names})
+    return None
+
+
+def _at_worst_corner(camera: Camera, names: Sequence[str]) -> tuple[float, float]:
+    """Where it is largest, distance of the tag in these terms from the adjusted camera, and its sigma, px."""
     corners = 0.5 * np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
     corners *= np.array(camera.size_px) * camera.pitch
     rays = undistorted(camera, corners) / camera.value("c")
     q = np.column_stack([rays, np.full(len(rays), -1.0)])
-    apart = projected(camera.with_values(camera.given), q) - corners
-    spread = _sigma_along(camera, q, apart)
+    stated = np.array([name in names for name in PARAMETERS]) | ~camera.estimated
+    values = camera.values if camera.given is None else np.where(stated, camera.given, camera.values)
+    apart = projected(camera.with_values(values), q) - corners
     size = np.linalg.norm(apart, axis=1)
-    seen = np.isfinite(size)
-    if not seen.any():
-        return None
+    if not np.isfinite(size).any() or not names:
+        return 0.0, np.inf
     worst = int(np.nanargmax(size))
-    px, sigma_px = size[worst] / camera.pitch[0], spread[worst] / camera.pitch[0]
-    if px < policy.small_px or px < policy.times_999 * sigma_px:
-        return None
-    moved = np.abs(camera.values - camera.given)
-    names = tuple(
-        n for n in camera.free if moved[PARAMETERS.index(n)] > policy.times_999 * camera.sigma_of(n)
-    )
-    figures = {"camera": camera.id, "tag": camera.stated_by, "px": float(px), "sigma_px": float(sigma_px)}
-    return Finding(CODE, "note", camera.id, {**figures, "names": names or camera.free})
+    spread = _sigma_along(camera, q, apart, names)
+    return float(size[worst] / camera.pitch[0]), float(spread[worst] / camera.pitch[0])
 
 
-def _sigma_along(camera: Camera, q: Floats, apart: Floats) -> Floats:
+def _sigma_along(camera: Camera, q: Floats, apart: Floats, names: Sequence[str]) -> Floats:
     """Standard deviations of where the adjusted camera records rays, along what it is apart by (n,)."""
     way = apart / np.maximum(np.linalg.norm(apart, axis=1), 1e-300)[:, None]
-    covariance = camera.covariance_of(camera.free)
-    slopes = np.empty((len(q), len(camera.free)))
+    covariance = camera.covariance_of(names)
+    slopes = np.empty((len(q), len(names)))
     # Step of a derivative, in standard deviations.
     step_sigmas = 0.1
-    for j, name in enumerate(camera.free):
+    for j, name in enumerate(names):
         step = step_sigmas * camera.sigma_of(name)
         ahead, behind = (
             projected(camera.changed(**{name: camera.value(name) + sign * step}), q) for sign in (1.0, -1.0)
@@ -385,6 +392,9 @@ def _frame(pictures: Mapping[Path, ImageFacts], keys: Keys, by: str) -> Iterable
         # A head is one camera.
         if len({_camera_key(pictures[path]) for path, other in head.items() if other == name}) > 1:
             return
+    # Pictures are read by their names.
+    if len({path.name for path in head}) < len(head):
+        return
     if all(_together([pictures[path] for path in paths]) for paths in shared.values()):
         order = sorted(often, key=lambda name: _rank(name, head, pictures))
         yield HeadGroup(tuple(order), head, {path: keys[path][1] for path in head}, by)

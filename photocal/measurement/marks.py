@@ -13,7 +13,7 @@ from photocal.adjustment.network import covariance_matrices
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.geodesy import enu_axes
-from photocal.base.text_tables import read_table, refuse
+from photocal.base.text_tables import folded, read_table, refuse
 from photocal.block.model import NO_POINTS, Block, ObjectPoints, Role
 from photocal.exchange.ground_points import read_gcp_list, read_gcp_rows
 from photocal.exchange.metashape import markers
@@ -30,13 +30,29 @@ BY_HAND_PX = 1.0
 _BY_HAND = (BY_HAND_PX, BY_HAND_PX)
 Sizes = Mapping[str, tuple[int, int]]
 Sigma = tuple[float, float]
+# Words that head a column of points, as people write them.
+POINT_HEADS = (
+    "point", "ponto", "name", "nome", "label", "gcp", "marco", "vértice", "point id", "punto", "nombre",
+    "punkt", "punktnummer", "punkt-id", "id", "point name", "point number", "point no", "pt", "pt id",
+    "punktnr", "punktname", "nome punto", "nome ponto", "nome do ponto", "id ponto", "id punto", "nom",
+    "matricule", "gcp id", "gcp name", "gcp label", "marker", "marker label", "station", "estação",
+    "target", "alvo", "repère", "number", "num", "número", "numero", "nummer", "no", "nr", "nº",
+    "n point", "no point", "numéro", "numéro du point", "nom du point", "nr punktu", "numer punktu", "numer",
+    "nr pkt", "pkt", "nazwa", "nazwa punktu", "nº ponto", "n ponto", "número do ponto", "n punto",
+)  # fmt: skip
 # Words that head the columns of such tables, in the order in which tables without a head have them.
 MARK_HEADS = (
     ("image", (*IMAGE_HEADS, "image_name", "imagename", "image_label", "camera", "camera_label")),
-    ("point", ("point", "gcp", "gcp_name", "gcp_label", "marker", "marker_label", "label", "ponto", "marco")),
-    ("x", ("x", "u", "image_u", "image_x", "x_px", "pixelx", "pixel_x", "px")),
-    ("y", ("y", "v", "image_v", "image_y", "y_px", "pixely", "pixel_y", "py")),
-)
+    ("point", POINT_HEADS),
+    ("x", (
+        "x", "u", "image_u", "image_x", "x_px", "pixelx", "pixel_x", "px", "x_pixel", "column", "col",
+        "coluna", "colonne", "columna", "colonna", "kolumna", "spalte",
+    )),
+    ("y", (
+        "y", "v", "image_v", "image_y", "y_px", "pixely", "pixel_y", "py", "y_pixel", "row", "line",
+        "linha", "ligne", "fila", "riga", "wiersz", "zeile",
+    )),
+)  # fmt: skip
 # Of our own tables, whose upper-left pixel has its centre at (0, 0).
 _OWN = ("image", "point", "x", "y")
 # Roles of points of OpenSfM that measure and do not hold.
@@ -88,6 +104,7 @@ class ControlMarks:
     without_coordinates: points that have marks but no coordinates: they are left out.
     rows: of the list, where it has one for each mark.
     refused: those that are not used, with the reason.
+    doubtful: what looks like a slip in others.
     assumed: points whose sigmas nobody states: they are along east, north and up in any system.
     file, cameras: where they were read, and the cameras of another program's set-up.
     unit_m: metres of the unit that heads state.
@@ -102,6 +119,7 @@ class ControlMarks:
     without_coordinates: tuple[str, ...] = ()
     rows: int = 0
     refused: tuple[str, ...] = ()
+    doubtful: tuple[str, ...] = ()
     assumed: frozenset[str] = frozenset()
     file: Path = Path()
     cameras: tuple[Camera, ...] = ()
@@ -155,7 +173,9 @@ def read_typed_list(path: Path, sigma_m: Sigma, say: Catalogue) -> ControlMarks:
     entries = [PointEntry(name, "control", xyz, (sigma_m[0], *sigma_m)) for name, xyz in places.items()]
     rows = len(given) + len(unreadable)
     points = object_points(entries)
-    return ControlMarks(crs, points, tuple(marks.values()), (), rows, tuple(refused), frozenset(places))
+    return ControlMarks(
+        crs, points, tuple(marks.values()), (), rows, tuple(refused), assumed=frozenset(places)
+    )
 
 
 def in_map_system(given: ControlMarks) -> ControlMarks:
@@ -358,6 +378,10 @@ def read_any_marks(path: Path, sizes: Mapping[str, tuple[int, int]]) -> tuple[Ma
     if not marks:
         raise InputMalformedError("has no marks", "is it the right file?", where=path)
     marks = named_after(marks, sizes)
+    turned = named_after([replace(mark, image=mark.point, point=mark.image) for mark in marks], sizes)
+    # Points may stand before pictures.
+    if not any(mark.image in sizes for mark in marks) and any(mark.image in sizes for mark in turned):
+        marks = turned
     require_unique([f"{mark.point} in image {mark.image}" for mark in marks], "point", path)
     return marks
 
@@ -368,8 +392,13 @@ def from_corner(pixels: Floats) -> Floats:
     return pixels if are_fractions(pixels) else pixels - half
 
 
-def named_after(marks: Iterable[Mark], images: Iterable[str]) -> tuple[Mark, ...]:
-    """Give marks the names of image files: other programs leave out endings, or name folders, too."""
+def named_after(
+    marks: Iterable[Mark], images: Iterable[str], others: Collection[str] = ()
+) -> tuple[Mark, ...]:
+    """Give marks the names of image files: other programs leave out endings, or name folders, too.
+
+    others: pictures of the same names in other folders, as "folder/name"; whose marks stay theirs.
+    """
     names = set(images)
     stems: dict[str, list[str]] = {}
     for name in names:
@@ -377,18 +406,35 @@ def named_after(marks: Iterable[Mark], images: Iterable[str]) -> tuple[Mark, ...
 
     def named(image: str) -> str:
         """Give the picture that a table means, by name or by stem."""
-        last = image.replace("\\", "/").rsplit("/", 1)[-1]
+        parts = image.replace("\\", "/").split("/")
+        last, below = parts[-1], "/".join(parts[-2:])
+        if below in names or below in others:
+            return below
         alike = stems.get(last.casefold(), []) or stems.get(Path(last).stem.casefold(), [])
         return last if last in names else alike[0] if len(alike) == 1 else image
 
     return tuple(replace(mark, image=named(mark.image)) for mark in marks)
 
 
+def pointed_after(marks: Iterable[Mark], points: Iterable[str]) -> tuple[Mark, ...]:
+    """Give marks the names of points that are written alike but for small letters, blanks and signs."""
+    names, alike = set(points), dict[str, list[str]]()
+    for name in names:
+        alike.setdefault(folded(name), []).append(name)
+    meant = {word: same[0] for word, same in alike.items() if len(same) == 1}
+    return tuple(
+        mark if mark.point in names else replace(mark, point=meant.get(folded(mark.point), mark.point))
+        for mark in marks
+    )
+
+
 def _text(path: Path) -> tuple[Mark, ...]:
-    lines = read_lines(path)
+    lines = read_lines(path, windows=True)
     first = lines[0].text.strip() if lines else ""
     delimiter = next((character for character in ("\t", ";", ",") if character in first), None)
-    if delimiter is None:
+    last = lines[-1].text.split() if lines else []
+    by_blanks = len(last) > 3 and not _is_number(last[0]) and all(map(_is_number, last[2:4]))
+    if delimiter is None and not by_blanks:
         # Blanks between coordinates, and the system in the first line.
         return read_control_marks(path, (1.0, 1.0), {}).marks
     head = [cell.strip().strip('"').lower().replace(" ", "_") for cell in first.split(delimiter)]
@@ -408,7 +454,11 @@ def _order(head: Sequence[str], path: Path) -> tuple[int, ...] | None:
         return None
     order = []
     for what, words in MARK_HEADS:
-        here = [k for k, cell in enumerate(head) if cell in words]
+        known = [folded(word) for word in words]
+        here = [k for k, cell in enumerate(head) if folded(cell) in known]
+        if what == "point":
+            # Beside a number of the row, or a picture's own name.
+            here = sorted(here, key=lambda k: known.index(folded(head[k])))[:1]
         if len(here) != 1:
             raise InputMalformedError(
                 f"its header {', '.join(head)!r} does not say which column is the {what}",
@@ -427,7 +477,7 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _mark(line: Line, delimiter: str, order: Sequence[int]) -> Mark:
+def _mark(line: Line, delimiter: str | None, order: Sequence[int]) -> Mark:
     cells = [cell.strip().strip('"') for cell in line.text.split(delimiter)]
     if len(cells) <= max(order) or not cells[order[0]] or not cells[order[1]]:
         raise line.malformed(f"has {len(cells)} cells where image, point, x, y were expected")

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.mrk import parse_event
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError, PhotocalError
 from photocal.base.geodesy import enu_axes, enu_offsets, geocentric, geodetic
@@ -29,7 +28,12 @@ from photocal.geometry.realizations import (
     realization,
 )
 from photocal.measurement.image_facts import ImageFacts
-from photocal.measurement.listed_positions import ListedPositions, judge_listed, listed_events
+from photocal.measurement.listed_positions import (
+    ListedPositions,
+    judge_listed,
+    listed_events,
+    read_event_lines,
+)
 
 Given = Callable[[ImageFacts], ImageFacts]
 # Heads of the columns of places as people write them; the last ones of X and Y are of degrees.
@@ -39,14 +43,16 @@ _HEIGHT = (
     "z", "h", "height", "elevation", "altitude", "alt", "elev", "cota", "elevação", "altura",
     "ellipsoidal height", "orthometric height", "altitude elipsoidal", "ortho. height", "ellip. height",
     "altitude ortométrica", "altitude geométrica", "elevación", "altitud", "höhe", "hoehe", "z/altitude",
-    "hgt", "quota", "altezza", "hauteur", "level", "up",
+    "hgt", "quota", "altezza", "hauteur", "level", "up", "wysokość", "rzędna", "wys",
 )  # fmt: skip
 _METRES = {
     "X": (
         "x", "e", "east", "easting", "este", "leste", "est", "rechtswert", "ost", "x/easting", "ostwert",
+        "wschód",
     ),
     "Y": (
         "y", "n", "north", "northing", "norte", "nord", "hochwert", "y/northing", "nordwert",
+        "północ",
     ),
 }  # fmt: skip
 _DEGREES = {"X": _LONGITUDE, "Y": _LATITUDE}
@@ -58,7 +64,10 @@ PLACE_HEADS = {
     "sY": ("sy", "sn", "sigma_y", "sigma_n", "accuracy_y"),
     "sZ": ("sz", "sh", "su", "sigma_z", "sigma_h", "accuracy_z"),
 }
-IMAGE_HEADS = ("image", "imagem", "photo", "foto", "picture", "file", "filename", "arquivo")
+IMAGE_HEADS = (
+    "image", "imagem", "photo", "foto", "picture", "file", "filename", "arquivo", "imagen", "immagine",
+    "bild", "cliché", "zdjęcie", "nome da imagem", "nome imagem", "photo name", "bildname",
+)  # fmt: skip
 
 
 class UnbelievableListError(InputMalformedError):
@@ -218,16 +227,25 @@ def _apart_m(facts: ImageFacts, latitude: float, longitude: float) -> float:
 
 
 def _of_events(path: Path, names: Sequence[str]) -> dict[str, _Place]:
-    events = [row for row in map(parse_event, read_text(path).splitlines()) if row is not None]
-    if not events:
+    events, lines = read_event_lines(read_text(path).splitlines(), path)
+    if not len(events):
         raise InputMalformedError("has no events", "is it a Timestamp.MRK file?", where=path)
-    listed = listed_events(np.array(events), [f"event {int(event[0])}" for event in events])
+    listed = listed_events(events, lines)
     _require_credible(listed, path)
     places = [tuple(row) for row in np.hstack([listed.place[:, [1, 0, 2]], listed.sigma_m]).tolist()]
     numbers = dict(zip(listed.number.tolist(), places, strict=True))
     # Cameras count with numbers of four digits.
     counts = {name: map(int, re.findall(r"(?<!\d)\d{4}(?!\d)", Path(name).stem)) for name in names}
     by_name = {name: numbers[k] for name in names for k in counts[name] if k in numbers}
+    first = dict(zip(listed.number.tolist()[::-1], range(len(lines))[::-1], strict=True))
+    again = [k for k, number in enumerate(listed.number.tolist()) if places[first[number]] != places[k]]
+    if by_name and again:
+        number, before = int(listed.number[again[0]]), lines[first[int(listed.number[again[0]])]]
+        raise InputMalformedError(
+            f"has another place for event {number} than {before}: two flights in one list?",
+            "give each flight its own list",
+            where=f"{path}, {lines[again[0]]}",
+        )
     if not by_name and len(names) == len(places):
         by_name = dict(zip(sorted(names), places, strict=True))
     return by_name

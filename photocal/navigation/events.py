@@ -12,14 +12,13 @@ from drivers.frames import Wire
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import ardupilotmega
-from drivers.mrk import parse_event
 from drivers.receiver import BASE_RECEIVER, BASE_UTC, TIME_BASES, TimeMarks
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError, reading
 from photocal.base.time_scales import SECOND_NS
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_text, plain
-from photocal.measurement.listed_positions import judge_listed, listed_events
+from photocal.measurement.listed_positions import judge_listed, listed_events, read_event_lines
 from photocal.navigation.device_clocks import ComparedClocks
 from photocal.navigation.flight_log import EXPOSURES, FlightLog
 from photocal.navigation.time import GpsTime, UtcTime, refuse_expired
@@ -278,22 +277,9 @@ def listed_in(log: FlightLog) -> CameraEventList | None:
 
 
 def _listed(name: str, lines: list[str], path: object) -> CameraEventList:
-    rows, lines_of = [], []
-    for number, line in enumerate(lines, 1):
-        if not line.strip():
-            continue
-        values = parse_event(line)
-        if values is None:
-            raise InputMalformedError(
-                "is not an event (number, time, week, offsets N E V, Lat, Lon, Ellh, sigmas, Q)",
-                "give the unchanged file of the vehicle",
-                where=f"{path}, line {number}",
-            )
-        rows.append(values)
-        lines_of.append(f"line {number}")
-    if not rows:
+    t, lines_of = read_event_lines(lines, path)
+    if not len(t):
         raise InputMalformedError("has no events", "check the flight's folder", where=path)
-    t = np.array(rows)
     listed = listed_events(t, lines_of)
     judged = judge_listed(listed)
     if not judged.placed.any():

@@ -2,6 +2,7 @@
 
 import contextlib
 import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
@@ -22,6 +23,7 @@ from photocal.measurement.image_file import SUFFIXES, require_names
 from photocal.measurement.marks import (
     BY_HAND_PX,
     MARK_HEADS,
+    POINT_HEADS,
     ControlMarks,
     from_corner,
     named_after,
@@ -36,25 +38,21 @@ from photocal.measurement.position_files import PLACE_HEADS, UnbelievableListErr
 ASSUMED_M = (0.02, 0.03)
 # Heads of columns as people write them.
 HEADS = {
-    "point": (
-        "point", "ponto", "name", "nome", "label", "gcp", "marco", "vértice", "point id", "punto", "nombre",
-        "punkt", "punktnummer", "punkt-id", "id", "point name", "point number", "point no", "pt", "pt id",
-        "punktnr", "punktname", "nome punto", "nome ponto", "nome do ponto", "id ponto", "id punto", "nom",
-        "matricule", "gcp id", "gcp name", "gcp label", "marker", "marker label", "station", "estação",
-        "target", "alvo", "repère", "number", "num", "número", "numero", "nummer", "no", "nr", "nº",
-    ),
+    "point": POINT_HEADS,
     **PLACE_HEADS,
     "role": ("role", "tipo", "type", "uso"),
-}  # fmt: skip
+}
 # Of a table with a row for each mark: x and y are those of the marks, or marks have other heads.
 _IN_IMAGE = {key: words for key, words in MARK_HEADS if key != "point"}
 _MARKED_HEADS = (
     {**HEADS, **_IN_IMAGE, "X": HEADS["X"][1:], "Y": HEADS["Y"][1:]},
     {**HEADS, **_IN_IMAGE, "x": _IN_IMAGE["x"][1:], "y": _IN_IMAGE["y"][1:]},
 )
-CHECKS = ("check", "checagem", "verificação", "verificacao", "checkpoint", "check point")
+CHECKS = ("check", "checagem", "verificação", "verificacao", "checkpoint", "check point", "cp", "chk")
+_CONTROLS = ("", "control", "controle", "apoio", "gcp", "control point", "3d gcp")
 _LOGS, _RAW_LOGS = (".mcap",), (".tlog", ".bin", ".ulg", ".ubx")
 _TABLES = (".csv", ".txt")
+_NO_TEXTS = (".xlsx", ".xls", ".ods", ".kml", ".kmz", ".shp", ".gpkg", ".dxf", ".gpx")
 _RINEX = (".obs", ".nav", ".rnx")
 # Who speaks of pictures does so at once.
 _HEAD_BYTES = 1 << 16
@@ -111,7 +109,7 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
     depth = 3
     files = sorted(path for path in _files(folder, depth) if path not in leave_out)
     seen.pictures = _pictures(files, seen.unread)
-    sizes = {image.name: image.size_px for facts in seen.pictures.values() for image in facts}
+    sizes = _sizes(seen.pictures)
     results = _results(files, seen, say)
     for path in files:
         if path in results:
@@ -134,7 +132,22 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
             control = _control(path, sizes, seen.unread, say)
             if control is not None:
                 (seen.control if control.points.names else seen.marks).append(control)
+    # Whoever has points in one of these finds no word of them otherwise.
+    sheets = [path for path in files if path.suffix.lower() in _NO_TEXTS and not seen.control]
+    seen.unread += [say("new.no_text", place=path) for path in sheets]
     return seen
+
+
+def _sizes(pictures: dict[Path, tuple[ImageFacts, ...]]) -> Sizes:
+    """Sizes of pictures by name; of a name that comes twice by folder and name, too."""
+    called = Counter(image.name for facts in pictures.values() for image in facts)
+    sizes = {image.name: image.size_px for facts in pictures.values() for image in facts}
+    return sizes | {
+        f"{where.name}/{image.name}": image.size_px
+        for where, facts in pictures.items()
+        for image in facts
+        if called[image.name] > 1
+    }
 
 
 def _results(files: Sequence[Path], seen: FolderContents, say: Catalogue) -> set[Path]:
@@ -229,7 +242,7 @@ def _control(path: Path, sizes: Sizes, unread: list[str], say: Catalogue) -> Con
 def _seems_a_table(path: Path) -> tuple[bool, bool]:
     """Whether a text has a line of words before its rows, and whether these name a thing and its place."""
     try:
-        lines = read_lines(path)[:_FIRST_ROWS]
+        lines = read_lines(path, windows=True)[:_FIRST_ROWS]
     except PhotocalError:
         return False, False
     rows = [re.split(r"[\t;]+| *, +|,(?!\d)| +", line.text.strip()) for line in lines]
@@ -297,12 +310,20 @@ def _table(path: Path, sizes: Sizes, say: Catalogue) -> ControlMarks:
     table, places, given = read_places(path, HEADS, (), say, degrees=in_degrees(path))
     index, names = table.names("point")
     first = np.unique(index, return_index=True)[1]
+    roles = (
+        [word.lower() in CHECKS for word in table.texts("role")]
+        if table.has("role")
+        else [False] * len(index)
+    )
     again = [
-        _again(table.place(row), names[place], say, same=bool((places[row] == places[first[place]]).all()))
+        say("new.row_again_role", place=table.place(row), name=names[place])
+        if same and roles[row] != roles[first[place]]
+        else _again(table.place(row), names[place], say, same=same)
         for row, place in enumerate(index.tolist())
         if first[place] != row
+        for same in [bool((places[row] == places[first[place]]).all())]
     ]
-    return _of_table(table, places[first], replace(given, refused=(*given.refused, *again)), first)
+    return _of_table(table, places[first], replace(given, refused=(*given.refused, *again)), first, say)
 
 
 def _of_marked_table(
@@ -323,10 +344,13 @@ def _of_marked_table(
         else:
             marks[pair] = Mark(*pair, x, y, (BY_HAND_PX, BY_HAND_PX), where)
     listed = replace(given, rows=len(table) + len(given.refused), refused=tuple(refused))
-    return _of_table(table, places[first], replace(listed, marks=named_after(marks.values(), sizes)), first)
+    listed = replace(listed, marks=named_after(marks.values(), sizes))
+    return _of_table(table, places[first], listed, first, say)
 
 
-def _of_table(table: TextTable, places: Floats, given: ControlMarks, rows: Integers) -> ControlMarks:
+def _of_table(
+    table: TextTable, places: Floats, given: ControlMarks, rows: Integers, say: Catalogue
+) -> ControlMarks:
     """Points of those rows of a table; what the table does not say of their precision is assumed."""
     names, stated = table.names("point")[1], table.has("sX")
     sigma = np.column_stack(
@@ -339,6 +363,11 @@ def _of_table(table: TextTable, places: Floats, given: ControlMarks, rows: Integ
     if table.has("role"):
         words = table.texts("role")
         roles = ["check" if words[row].lower() in CHECKS else "control" for row in rows]
+        unclear = [row for row in rows.tolist() if words[row].lower() not in (*CHECKS, *_CONTROLS)]
+        # Under other heads stand kinds of all sorts.
+        if unclear and folded(table.heads["role"]) == "role":
+            told = [say("new.role_unknown", place=table.place(row), role=words[row]) for row in unclear]
+            given = replace(given, doubtful=tuple(told))
     sigma[np.array(roles) == "check"] = np.where(stated, sigma[np.array(roles) == "check"], np.inf)
     role = np.array([ROLES.index(name) for name in roles], dtype=np.int64)
     points = ObjectPoints(names, places, sigma, role)
@@ -351,7 +380,7 @@ def _bare_table(path: Path, sizes: Sizes, say: Catalogue) -> ControlMarks:
     # Coordinates of a cloud, times of a track.
     entries, no_name = dict[str, PointEntry](), re.compile(r"[-+]?\d*[.,]\d+|\d+:.*")
     refused = list[str]()
-    lines = read_lines(path)
+    lines = read_lines(path, windows=True)
     heads = [shortened(folded(cell)) for cell in lines[0].text.split()] if lines else []
     words = {key: set(map(folded, HEADS[key])) for key in ("point", *"XYZ")}
     order = [next((k for k, cell in enumerate(heads) if cell in words[key]), -1) for key in words]

@@ -1,7 +1,7 @@
 """Control of a new project settled before any work: system, kind of heights, frame of the marks, slips."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -96,6 +96,7 @@ def settle(
     folder: Mapping[str, Path],
     *,
     flown: bool,
+    others: Collection[str] = (),
 ) -> None:
     """Settle what control of a folder is.
 
@@ -103,13 +104,17 @@ def settle(
     frame: of the pictures that the marks were made in, where a person says it.
     folder: where the pictures lie, by name.
     flown: whether a flight log has positions.
+    others: pictures of the same names that are not used, with the names of their folders.
     """
     placed, say = [image for image in facts if image.has_position], made.say
     if given is not None:
         given = _as_stated(given, placed, made)
         made.points, made.assumed = given.points, given.assumed
+        made.doubtful += given.doubtful
         made.rows, made.refused, made.level = given.rows, list(given.refused), given.level
-        _with_marks(made, given, frame, facts, folder)
+        _with_names(made, given, folder, others)
+        renamed = replace(given, marks=named_after(given.marks, [image.name for image in facts], others))
+        _with_marks(made, renamed, frame, facts, folder)
     matters = bool(placed) or flown
     # Nothing that is asked may be of no use.
     placeable = matters or made.fixing >= policy.fewest_control
@@ -124,7 +129,7 @@ def settle(
         made.doubtful += [say("new.control_known", text=line) for line in told_of]
         if not matters and made.fixing < policy.fewest_control:
             made.missing.append(say("new.few_placing", n=made.fixing, fewest=policy.fewest_control))
-    made.doubtful += [say("new.not_used", text=line) for line in made.refused]
+    made.doubtful += [say("new.not_used", text=say.refused(line)) for line in made.refused]
 
 
 def _as_stated(given: ControlMarks, placed: Sequence[ImageFacts], made: NewProject) -> ControlMarks:
@@ -184,6 +189,23 @@ def _with_place(made: NewProject, given: ControlMarks | None, placed: Sequence[I
             made.doubtful.append(str(slip))
 
 
+def _with_names(
+    made: NewProject, given: ControlMarks, folder: Mapping[str, Path], others: Collection[str]
+) -> None:
+    """Name points without coordinates, and marks that pictures of several folders may have."""
+    say = made.say
+    if given.without_coordinates:
+        count = Counter(given.without_coordinates)
+        made.doubtful.append(say("new.marked_unknown", names=listed(list(count), say)))
+    namesakes = {name.partition("/")[2]: name.partition("/")[0] for name in others}
+    unclear = {mark.image for mark in given.marks if mark.image in namesakes}
+    if unclear:
+        first = min(unclear)
+        told = {"names": listed(sorted(unclear), say), "other": namesakes[first]}
+        here = folder[first].parent.name if first in folder else ""
+        made.doubtful.append(say("new.same_names", here=here, **told))
+
+
 def _with_marks(
     made: NewProject,
     given: ControlMarks,
@@ -193,7 +215,7 @@ def _with_marks(
 ) -> None:
     """Take the marks in pictures that are there, in the grid that these are stored in."""
     pictures, say = {image.name: image for image in facts}, made.say
-    marks = named_after(given.marks, pictures)
+    marks = given.marks
     absent = Counter(mark.image for mark in marks if mark.image not in pictures)
     if absent:
         every = len({mark.image for mark in marks})
@@ -273,6 +295,7 @@ def _frame(made: NewProject, choice: FrameChoice, *, useful: bool) -> MarkFrame:
 
 def _with_system(made: NewProject, written: str, placed: Sequence[ImageFacts], *, placeable: bool) -> None:
     """Settle the coordinate system: of the control if there is any, else of the pictures."""
+    _out_of_degrees(made, written)
     points, text, say = made.points, made.crs or written, made.say
     local = say("new.or_local")
     if not points.names:
@@ -299,6 +322,31 @@ def _with_system(made: NewProject, written: str, placed: Sequence[ImageFacts], *
     else:
         made.crs = "local"
         made.missing.append(say("new.crs_needless"))
+
+
+def _out_of_degrees(made: NewProject, written: str) -> None:
+    """Take points whose table says that they are in degrees to the map system that a person names."""
+    from pyproj import Transformer
+    from pyproj.exceptions import CRSError
+
+    xy, named = made.points.values[:, :2], called(made.crs, None) if made.crs else ()
+    if not len(xy) or not made.crs or not written or not bool((np.abs(xy) <= [180.0, 90.0]).all()):
+        return
+    try:
+        given = system_of(written)
+        meant = len(named) == 1 and is_meant(made.crs, named[0])
+        system = system_of(named[0].code if meant else made.crs)
+    except CRSError:
+        return
+    plane = level_of(system).to_2d() if system.is_compound else system
+    if not given.is_geographic or not plane.is_projected:
+        return
+    way = Transformer.from_crs(given.to_2d(), plane, always_xy=True)
+    places = np.column_stack(way.transform(*xy.T))
+    if np.isfinite(places).all():
+        values = np.column_stack([places, made.points.values[:, 2]])
+        made.points = replace(made.points, values=values)
+        made.known.append(made.say("new.crs_degrees", crs=made.crs))
 
 
 def _is_geocentric(places: Floats) -> bool:

@@ -21,7 +21,7 @@ from photocal.measurement.control_review import listed as some_names
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
 from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
 from photocal.measurement.mark_frames import AS_STORED, MarkFrame, parse_frame
-from photocal.measurement.marks import ControlMarks, named_after
+from photocal.measurement.marks import ControlMarks, named_after, pointed_after
 from photocal.measurement.picture_tests import judge_cameras, judge_pictures, told_beside
 from photocal.measurement.position_files import read_positions
 from photocal.navigation.flight_log import FlightLog
@@ -71,12 +71,11 @@ def new_project(
         )
     chosen = chosen_pictures(folder, seen.pictures, seen.events, say)
     seen.pictures, seen.events = chosen.pictures, list(chosen.events)
-    control = _chosen(seen, chosen.facts)
-    text = _Text(folder, seen, chosen, control, made, made_in)
+    text = _Text(folder, seen, chosen, _chosen(seen, chosen), made, made_in)
     files = {NAME: "\n".join(text.lines()) + "\n"}
     if text.listed:
         files[PICTURES] = text.pictures_table()
-    if control is not None:
+    if text.given is not None:
         files["control.csv"] = _points_table(text.control_points)
         if text.marks:
             columns = ("image", "point", "x", "y", "sx", "sy")
@@ -112,15 +111,27 @@ def _paths(seen: FolderContents, pictures: Path | None) -> list[Path]:
     return [where / image.name for where in folders for image in seen.pictures[where]]
 
 
-def _chosen(seen: FolderContents, facts: Sequence[ImageFacts]) -> ControlMarks | None:
+def _others(chosen: ChosenPictures) -> frozenset[str]:
+    """Pictures of other folders that are called as those that are used, with the names of their folders."""
+    used = {image.name for image in chosen.facts}
+    elsewhere = (where for where in chosen.pictures if chosen.frame is None and where != chosen.folder)
+    return frozenset(
+        f"{where.name}/{image.name}"
+        for where in elsewhere
+        for image in chosen.pictures[where]
+        if image.name in used
+    )
+
+
+def _chosen(seen: FolderContents, chosen: ChosenPictures) -> ControlMarks | None:
     """The control of the folder: with marks in its pictures if there is such a file, else the first."""
-    names = [image.name for image in facts]
+    names, others = [image.name for image in chosen.facts], _others(chosen)
     if not seen.control:
         return None
 
     def shown(control: ControlMarks) -> int:
         """Count the marks in pictures that are there."""
-        return sum(mark.image in names for mark in named_after(control.marks, names))
+        return sum(mark.image in names for mark in named_after(control.marks, names, others))
 
     best = max(seen.control, key=lambda control: (shown(control), control.points.of_role("check").sum()))
     if shown(best):
@@ -128,9 +139,11 @@ def _chosen(seen: FolderContents, facts: Sequence[ImageFacts]) -> ControlMarks |
     tables = sorted(seen.marks, key=shown, reverse=True)
     points = best.points.names
     # Programs leave the same marks in several files.
-    others = [table.marks for table in tables[::-1]]
-    every = {(m.image, m.point): m for marks in (best.marks, *others) for m in marks if m.point in points}
-    return replace(best, marks=tuple(every.values()))
+    found = (pointed_after(marks, points) for marks in (best.marks, *(table.marks for table in tables[::-1])))
+    every = {(mark.image, mark.point): mark for marks in found for mark in marks}
+    bare = tuple(dict.fromkeys(mark.point for mark in every.values() if mark.point not in points))
+    known = tuple(mark for mark in every.values() if mark.point in points)
+    return replace(best, marks=known, without_coordinates=(*best.without_coordinates, *bare))
 
 
 class _Text:
@@ -165,7 +178,8 @@ class _Text:
         placing: Sequence[ImageFacts] = facts
         if stated < len(facts) and not (seen.logs or seen.positions):
             self.events, placing = self._events(told_of)
-        settle(control, given, made_in, placing, where, flown=bool(seen.logs))
+        others = _others(chosen)
+        settle(control, given, made_in, placing, where, flown=bool(seen.logs), others=others)
         self.known, self.missing = control.known, control.missing
         self.known += chosen.known
         self.missing += [*told_of, *chosen.missing]
@@ -191,7 +205,7 @@ class _Text:
             yield "\n[certificate]"
             yield f'language = "{self.say.language}"  # {self.say("new.certificate_language")}'
         for left in self.seen.unread[:10]:
-            self.missing.append(self.say("new.not_used", text=left))
+            self.missing.append(self.say("new.not_used", text=self.say.refused(left)))
 
     def _height_comment(self) -> str:
         if self.control.height_is_assumed:
@@ -287,7 +301,7 @@ class _Text:
             try:
                 listed = list(map(read_positions(path, names), self.facts))
             except PhotocalError as refusal:
-                missing.append(say("new.not_used", text=refusal))
+                missing.append(say("new.not_used", text=say.refused(str(refusal))))
                 continue
             apart = [found for found in judge_pictures(listed) if found.code == "table-beside-pictures"]
             told = [f"{self._beside(path)}: {finding_text(one, say, plain)}" for one in apart]
@@ -410,6 +424,7 @@ class _Text:
         counted = {"points": len(points.names), "marks": len(self.marks), "images": images}
         comment = say("new.control", **counted, file=self._beside(given.file))
         self.known.append(say("new.control_known", text=comment))
+        self._other_control(given)
         yield f"\n[control]  # {comment}"
         sigma = dict(zip(("plane", "height"), map(say.as_given, ASSUMED_M), strict=True))
         yield 'points = "control.csv"' + (f"  # {say('new.control_sigma', **sigma)}" if given.assumed else "")
@@ -423,6 +438,24 @@ class _Text:
             self.missing.append(say("new.few_marked", n=marked, fewest=policy.fewest_control))
         if not points.of_role("check").any():
             self.missing.append(say("new.no_checks"))
+
+    def _other_control(self, given: ControlMarks) -> None:
+        """Name other files of control that say something else than the one that is used."""
+        own = dict(zip(given.points.names, given.points.values, strict=True))
+        for other in self.seen.control:
+            listed = dict(zip(other.points.names, other.points.values, strict=True))
+            away = {name: np.abs(place - own[name]).max() for name, place in listed.items() if name in own}
+            # Millimetres are of rounding; what is so far away is in another system.
+            same_m, elsewhere_m = 0.002, 1000.0
+            unlike = [name for name in listed if not away.get(name, np.inf) < same_m]
+            named = {"file": self._beside(other.file), "used": self._beside(given.file)}
+            if other.file == given.file or not unlike:
+                continue
+            if away and np.median(list(away.values())) < elsewhere_m:
+                told = some_names(unlike, self.say)
+                self.control.doubtful.append(self.say("new.other_control", names=told, **named))
+            else:
+                self.known.append(self.say("new.control_left", **named))
 
     def _beside(self, path: Path | None) -> str:
         return "" if path is None else Path(os.path.relpath(path, self.folder)).as_posix()

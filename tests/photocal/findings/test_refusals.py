@@ -31,6 +31,7 @@ PUT_TOGETHER = {
         "rank.singular",
         "rank.nearly-singular",
         "certificate.is-not-a-day",
+        "rows.ground-point-is-not-a-number",
     )
 }
 

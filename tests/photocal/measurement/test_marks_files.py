@@ -68,7 +68,7 @@ def test_names_in_doubt_stay_as_they_are() -> None:
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("m.csv", "photo,gcp,column,row\na.jpg,G1,1,2\n", "does not say which column is the x"),
+        ("m.csv", "photo,gcp,left,top\na.jpg,G1,1,2\n", "does not say which column is the x"),
         ("m.csv", "a.jpg,G1,1\n", "does not say which column is the image"),
         ("m.csv", "a.jpg,G1,1,2\nB.JPG,G2,3\n", r"line 2: has 3 cells where image, point, x, y"),
         ("m.csv", "a.jpg,G1,1,2\nB.JPG,G2,three,4\n", r"line 2"),

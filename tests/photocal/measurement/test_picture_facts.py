@@ -172,6 +172,7 @@ def test_only_above_take_off_is_no_ellipsoid() -> None:
 @pytest.mark.parametrize(("tags", "laser"), [
     ('drone-dji:LRFStatus="TooFar" drone-dji:LRFTargetDistance="0.000"', math.nan),
     ('drone-dji:LRFStatus="TooClose" drone-dji:LRFTargetDistance="2.5"', math.nan),
+    ('drone-dji:LRFStatus="Normal" drone-dji:LRFTargetDistance="9999.000"', math.nan),
     ('drone-dji:LRFTargetDistance="0.000"', math.nan), ('drone-dji:LRFTargetDistance="6.182"', 6.182),
 ])  # fmt: skip
 def test_a_laser_that_hit_nothing_says_nothing(tags: str, laser: float) -> None:

@@ -221,8 +221,60 @@ def test_tables_of_positions_are_judged_too(tmp_path: Path) -> None:
             read_positions(path, ["a.jpg", "b.jpg"])
     mrk = tmp_path / "x.MRK"
     mrk.write_text("\n".join(FAULTS["5 km within 2 s"][0](lines())))
-    with pytest.raises(InputMalformedError, match=r"80 m/s allow \(event 6\)"):
+    with pytest.raises(InputMalformedError, match=r"80 m/s allow \(line 6\)"):
         read_positions(mrk, [f"DJI_{k:04}.JPG" for k in range(1, 13)])
+
+
+def renumbered(rows: Sequence[str]) -> list[str]:
+    """The lines counted from 1."""
+    return ["\t".join([str(k), *row.split("\t")[1:]]) for k, row in enumerate(rows, 1)]
+
+
+def later(row: str) -> str:
+    """A line of another flight over the same site, an hour later."""
+    return cells(row, time=f"{float(row.split()[1]) + 3600:.6f}")
+
+
+def in_week(row: str, seconds: float) -> str:
+    """A line at a time around the end of the week, whose number did not go on."""
+    return cells(row, time=f"{seconds % 604800:.6f}")
+
+
+SPOILT: dict[str, tuple[Change, str]] = {
+    "two flights that count from 1": (
+        lambda rows: [*rows[:6], *renumbered([later(row) for row in rows[6:]])],
+        "line 7: has another place for event 1 than line 1: two flights in one list",
+    ),
+    "a decimal comma": (with_line(6, height="512,998,Ellh"), "line 6: is not an event"),
+    "a head": (lambda rows: ["Number\tTime", *rows], "line 1: is not an event"),
+    "cut": (lambda rows: [*rows[:11], rows[11][:40]], "line 12: is not an event"),
+    "a decimal point that slipped": (with_line(6, lat="4.7643687320,Lat"), "80 m/s allow (line 6)"),
+    "sorted backwards": (lambda rows: rows[::-1], "11 of 12 events of the list are earlier"),
+    "a week that did not go on": (
+        lambda rows: [in_week(r, 604790 + s) for r, s in zip(rows, TIMES_S, strict=True)],
+        "5 of 12 events of the list are earlier than a preceding one (line 8, line 9,",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_a_spoilt_list_is_refused_with_its_line(photocal: Photocal, tmp_path: Path, name: str) -> None:
+    """By `photocal new`, which goes on with the positions of the pictures."""
+    change, said = SPOILT[name]
+    pictures(tmp_path / "DJI_001")
+    (tmp_path / "x_Timestamp.MRK").write_text("\n".join(change(lines())) + "\n")
+    answer = photocal("new", tmp_path, "--json")
+    assert answer.code == 0, answer.err
+    (left,) = (line for line in json.loads(answer.out)["missing"] if "x_Timestamp.MRK" in line)
+    assert said in left
+    assert "positions =" not in (tmp_path / "project.toml").read_text()
+
+
+def test_a_line_that_is_missing_is_told(photocal: Photocal, tmp_path: Path) -> None:
+    pictures(tmp_path / "DJI_001")
+    (tmp_path / "x_Timestamp.MRK").write_text("\n".join([*lines()[:5], *lines()[6:]]) + "\n")
+    told = json.loads(photocal("new", tmp_path, "--json").out)["missing"]
+    assert "x_Timestamp.MRK has 11 of the 12 pictures: positions of DJI_0006.JPG stay their own" in told
 
 
 def test_a_table_of_another_flight_is_named(tmp_path: Path) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from photocal.cli import app
-from photocal.geometry.camera import Camera
+from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.measurement.maker_camera import tag_finding
 from photocal.results.adjusted import adjust_network
 from photocal.results.folder import read_result
 from photocal.run.summary import calibration_findings
@@ -46,6 +48,32 @@ def test_the_camera_is_right_whatever_the_tag_says(
 def test_a_right_tag_is_not_spoken_of() -> None:
     result = adjust_network(tagged.fly(tagged.tag(1.0), 4))
     assert list(calibration_findings(result)) == []
+
+
+@pytest.mark.parametrize(
+    ("c_off", "ratio", "names"), [(17.0, 0.0, None), (17.0, 0.009, ("B1",)), (0.0, 0.009, ("B1",))]
+)
+def test_a_c_that_the_flight_leaves_open_hides_nothing_else(
+    c_off: float, ratio: float, names: tuple[str, ...] | None
+) -> None:
+    """Pixels that the tag has 0.9 % too wide are 7.2 px off at 800 px beside the middle."""
+    values, sigma = np.zeros(len(PARAMETERS)), np.zeros(len(PARAMETERS))
+    values[PARAMETERS.index("c")] = 1939.0
+    sigma[PARAMETERS.index("c")], sigma[PARAMETERS.index("B1")] = 19.0, 0.0006
+    given = values.copy()
+    given[PARAMETERS.index("c")] += c_off
+    given[PARAMETERS.index("B1")] += ratio
+    free = np.isin(PARAMETERS, ["c", "B1"])
+    found = tag_finding(
+        Camera(
+            "p4m", "brown-ideal", "px", (1600, 1300), (1.0, 1.0), values, free, 0.0 * values + np.inf,
+            affinity="after", stated_by="DewarpData", given=given, sigma=sigma,
+        )
+    )  # fmt: skip
+    assert (None if found is None else found.figures["names"]) == names
+    if found is not None and c_off:
+        assert found.figures["px"] == pytest.approx(7.2, abs=0.01)
+        assert found.figures["sigma_px"] == pytest.approx(0.48, abs=0.01)
 
 
 @pytest.mark.parametrize(("cy_sign", "p"), [(1, 0.0), (-1, 0.004)])
