@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from photocal.base.errors import ConfigurationError, IllPosedError, NotConvergedError
+from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.geometry.camera import Camera
 
 if TYPE_CHECKING:
@@ -62,20 +61,9 @@ def analyse(
     >>> list(outcome.cameras)
     ['dcs460']
     """
-    from photocal.analysis.analyse_run import checks_of
-    from photocal.analysis.outcome import analyse_network
-    from photocal.block.network import assemble
-    from photocal.georeferencing.causes import slips_of
-    from photocal.results.adjusted import adjust_network, network_of, state_of
+    from photocal.analysis.analyse_run import analyse_block
 
-    # Shutters, lags and what was rejected are those that an adjustment ends with.
-    with suppress(IllPosedError, NotConvergedError):
-        result = result or adjust_network(block)
-    # What cannot be adjusted can be analysed where control alone hinders.
-    assembly = assemble(block) if result is None else network_of(block, result)
-    checks, start = checks_of(block, assembly), None if result is None else state_of(assembly, result)
-    slips = slips_of(block, assembly)
-    return analyse_network(assembly.network, checks, alpha, threshold, start=start, slips=slips)
+    return analyse_block(block, result, alpha, threshold)
 
 
 def significance(

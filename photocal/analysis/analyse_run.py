@@ -1,6 +1,7 @@
 """The analysis of a run, made and written for programs as `analysis.json`, by `photocal analyse`."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,11 @@ from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
 from photocal.analysis.left_out import Checks
 from photocal.analysis.outcome import ANALYSIS, Analysis, ExteriorDifference, Outcome, analyse_network
 from photocal.base.arrays import as_plain
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.base.files import digest, output_file, write_json
 from photocal.base.policy import policy
 from photocal.block.model import Block
-from photocal.block.network import NetworkOfBlock, block_frame
+from photocal.block.network import NetworkOfBlock, assemble, block_frame
 from photocal.exchange.formats import read_any_block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_text, need_words, plain
@@ -24,7 +26,7 @@ from photocal.georeferencing.causes import slips_of
 from photocal.georeferencing.comparison import exposure_difference
 from photocal.georeferencing.direct import direct_orientation
 from photocal.georeferencing.methods import in_local_frame
-from photocal.results.adjusted import network_of, state_of
+from photocal.results.adjusted import adjust_network, network_of, state_of
 from photocal.results.folder import RESULT, block_of_run, read_result
 from photocal.results.result import Result
 
@@ -78,16 +80,35 @@ def analyse_run(
     result = read_result(folder)
     source = block_of_run(folder, result, block, Path.cwd())
     given = read(source.path)
-    assembly = network_of(given, result)
-    checks, start = checks_of(given, assembly), state_of(assembly, result)
-    slips = slips_of(given, assembly)
-    outcome = analyse_network(assembly.network, checks, alpha, threshold, done, draws, start, slips)
+    outcome = analyse_block(given, result, alpha, threshold, done, draws)
     outcome = replace(
         outcome, exterior_difference=exterior_difference(given, result), result_sha256=digest(folder / RESULT)
     )
     with output_file(folder / ANALYSIS) as aside:
         write_json(aside, analysis_record(outcome, say or catalogue("en")))
     return outcome
+
+
+def analyse_block(
+    block: Block,
+    result: Result | None = None,
+    alpha: float = policy.parameter_significance,
+    threshold: float = policy.strong_correlation,
+    done: Callable[[float], None] = lambda _: None,
+    draws: int = 0,
+) -> Outcome:
+    """Analyse a block, also one that no adjustment ends with where its control alone hinders that.
+
+    result: its adjustment, from which the analysis starts; without, it is adjusted first.
+    raises IllPosedError, NotConvergedError: when something else than control hinders it.
+    """
+    # Shutters, lags and what was rejected are those that an adjustment ends with.
+    with suppress(IllPosedError, NotConvergedError):
+        result = result or adjust_network(block)
+    assembly = assemble(block) if result is None else network_of(block, result)
+    checks, start = checks_of(block, assembly), None if result is None else state_of(assembly, result)
+    slips = slips_of(block, assembly)
+    return analyse_network(assembly.network, checks, alpha, threshold, done, draws, start, slips)
 
 
 def checks_of(block: Block, assembly: NetworkOfBlock) -> Checks:

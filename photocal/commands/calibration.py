@@ -96,7 +96,9 @@ def iteration_lines(title: str) -> Callable[[Any], None]:
 def analyse(
     run: Annotated[
         Path,
-        argument("Folder that `photocal adjust` wrote; or a CSV of published parameters or correlations."),
+        argument(
+            "Folder that `photocal adjust` wrote; a block that it refused; or a CSV of published parameters."
+        ),
     ],
     analysis: AnalysisOptions,
     published: PublishedOptions,
@@ -111,6 +113,9 @@ def analyse(
     says, beside the run and below the current folder, and recognised by its hashes. The answer is also
     written as analysis.json into the run, from where `photocal certificate` takes it.
 
+    Of a block folder, or with --block where the run has no result, the verdict alone is said: it names the
+    control with which no adjustment ends.
+
     A CSV with the columns parameter, value and std_dev (perhaps set), as publications and other programs
     print them, is tested as it stands; with its correlations or covariance (--matrix), or of such a matrix
     alone, strong correlations and principal components follow, too.
@@ -118,14 +123,16 @@ def analyse(
     Example: `photocal adjust my-block -o run && photocal analyse run`, or
     `photocal analyse iop.csv --matrix correlations.csv --degrees-of-freedom 2470`
     """
-    from photocal.analysis.analyse_run import analyse_run, analysis_record
+    from photocal.analysis.analyse_run import analyse_block, analyse_run, analysis_record
+    from photocal.exchange.formats import read_any_block
     from photocal.findings.document import text
     from photocal.findings.texts import catalogue, spoken
-    from photocal.findings.verdict import verdict_json, verdict_section
+    from photocal.findings.verdict import Known, judge, verdict_json, verdict_section
     from photocal.report.analysis_sections import analysed, calibrated
     from photocal.report.analysis_sections import published as of_published
     from photocal.report.certificate import overall
     from photocal.report.stored_analysis import read_run
+    from photocal.results.folder import RESULT
     from photocal.run.summary import stage_findings
 
     # What is stored and scripted stays as it is wherever it is made.
@@ -142,6 +149,20 @@ def analyse(
         )
         return
     levels = analysis.alpha, analysis.correlation
+    source = analysis.block or (run if (run / "block.toml").is_file() else None)
+    if source is not None and not (run / RESULT).is_file():
+        block = read_any_block(source)
+        with progress("adjusting again", 1.0) as advance:
+            outcome = analyse_block(block, None, *levels, advance, analysis.bootstrap)
+        calibrated_one = any(camera.free for camera in block.cameras)
+        of_block = Known(len(block.images.names), block.datum != "free", calibrated_one)
+        found = judge(outcome.findings, of_block)
+        answer(
+            as_json,
+            lambda: {**analysis_record(outcome, stored), "verdict": verdict_json(found, stored)},
+            lambda: text([verdict_section(found, say)]),
+        )
+        return
     with progress("adjusting again", 1.0) as advance:
         outcome = analyse_run(run, analysis.block, *levels, advance, stored, analysis.bootstrap)
     made = read_run(run)

@@ -26,6 +26,8 @@ Answer = Literal["yes", "reserved", "no", "not-placed", "held", "unknown"]
 MOST_LINES, ALIKE = 7, 3
 # Causes that no camera can have estimated that was held because the block does not bear it.
 _ESTIMATED = ("principal-distance", "principal-point")
+# What each method of georeferencing shows of one matter.
+_OF_METHODS = ("check-outside-prediction", "control-outside-prediction", "method-refused", "global-test")
 _ORDER = ("refused", "grave", "doubtful", "consequence")
 _CONCERNS = tomllib.loads(resources.files(__package__).joinpath("concerns.toml").read_text(encoding="utf-8"))
 _OF_CAMERA, _OF_BLOCK, _SHOWS = (frozenset(_CONCERNS[name]) for name in ("camera", "block", "shows"))
@@ -92,7 +94,7 @@ def judge(findings: Iterable[Finding], known: Known = Known()) -> Verdict:
         outcome = Finding("usable-with-reservations", "doubtful", figures=figures)
     else:
         outcome = Finding("usable", "passed", figures=figures)
-    lines = _lines(deciding, known.images)
+    lines = _lines(by_methods(deciding), known.images)
     return Verdict(
         outcome,
         _answer(deciding, _OF_CAMERA) if known.placed else "not-placed",
@@ -168,7 +170,7 @@ def _lines(deciding: Sequence[Finding], images: int) -> tuple[VerdictLine, ...]:
     """Findings of one code and one cause are one line, in the place of the worst."""
     lines = list[VerdictLine]()
     for alike in alike_findings(deciding).values():
-        together = len(alike) >= ALIKE
+        together = len(alike) >= ALIKE and alike[0].code not in _OF_METHODS
         lines += [_line(part, images) for part in ([alike] if together else [[one] for one in alike])]
     return tuple(lines)
 
@@ -180,6 +182,25 @@ def _line(alike: Sequence[Finding], images: int) -> VerdictLine:
     sizes = [f.size.figure for f in alike if f.size is not None]
     ends = (min(sizes), max(sizes)) if sizes else (0.0, 0.0)
     return VerdictLine(first, tuple(f.subject for f in (first, *others)), ends, images)
+
+
+def by_methods(findings: Sequence[Finding]) -> list[Finding]:
+    """Say once, with all its methods, what more than one of them shows: points, or a refusal."""
+    listed = list[Finding]()
+    for finding in findings:
+        alike = [f for f in findings if (f.code, f.severity) == (finding.code, finding.severity)]
+        if finding.code not in _OF_METHODS or len(alike) == 1:
+            listed.append(finding)
+        elif finding is alike[0]:
+            methods = dict[str, list[object]]()
+            for each in alike:
+                for point in each.figures.get("points") or ("",):
+                    methods.setdefault(str(point), []).append(each.figures["method"])
+            for of in dict.fromkeys(map(tuple, methods.values())):
+                points = tuple(point for point, shown in methods.items() if tuple(shown) == of and point)
+                figures = {**finding.figures, "method": of, **({"points": points} if points else {})}
+                listed.append(replace(finding, figures=figures))
+    return listed
 
 
 def _effect(size: Size | None) -> float:

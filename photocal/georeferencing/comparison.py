@@ -329,8 +329,8 @@ def check_block(
     mistyped = mistyped_of(systematic, slips)
     if not judged:
         reasons = "; ".join(f"{method}: {refused[method]}" for method in METHODS)
-        wrong = "".join(f"; control point {point.point} contradicts the others" for point in mistyped)
-        message = _with_findings(f"no method can be computed: {reasons}{wrong}", plausibility)
+        wrong = "".join(f"control point {point.point} contradicts the others; " for point in mistyped)
+        message = _with_findings(f"{wrong}no method can be computed: {reasons}", plausibility)
         raise IllPosedError(message, where=block.name)
     done("systematic errors")
     return BlockCheck(

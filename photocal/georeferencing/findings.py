@@ -146,9 +146,12 @@ def _judged(judged: Judged, level: float) -> list[Finding]:
     test = judged.result.test
     if test is not None and not test.accepted:
         chi_squared, freedom = judged.result.chi_squared, judged.result.degrees_of_freedom
-        if chi_squared > freedom * (1.0 + FACTOR) ** 2:
+        factor = math.sqrt(chi_squared / freedom)
+        if factor > 1.0 + FACTOR:
             figures = {"method": method, "chi_squared": chi_squared, "upper": test.upper}
-            listed.append(Finding("global-test", "doubtful", method, figures))
+            # Size counts, whatever the cause: beyond that no standard deviation says what is behind it.
+            severity: Severity = "grave" if factor > policy.worth_a_word else "doubtful"
+            listed.append(Finding("global-test", severity, method, figures))
     return listed
 
 

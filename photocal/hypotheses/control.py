@@ -18,10 +18,15 @@ from photocal.adjustment.state import State
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import PhotocalError
 from photocal.base.policy import policy
+from photocal.geometry.distortion import slopes_of
+from photocal.geometry.resection import intersect, ray_residuals
+from photocal.geometry.rotation import matrix_from_angles
 
 # Weak observations of what control would have determined: share of c; lever arm (m), boresight (rad), time
 # offset (s); the shift is free.
 LOOSE_C, LOOSE = 0.02, np.array([1.0] * 3 + [0.1] * 3 + [1.0])
+# Principal distances by which a ray may miss the start coordinates of its point.
+_ASTRAY = 0.25
 # Left of the way to the places without control, squared, in units of the standard deviations.
 _NEAR = 1e-4
 # Coordinates of a point that a mistake concerns: its height, its place in plane, or all of them.
@@ -78,10 +83,10 @@ class Contradiction:
 class WrongSigmas:
     """No point stands apart: the sigmas of the survey are wrong by a factor.
 
-    as_points: whether some points that are wrong explain it as well.
+    rival: points that are wrong, where they explain it as well.
     """
 
-    as_points: bool = False
+    rival: Contradiction | None = None
 
 
 def control_points(network: Network) -> Integers:
@@ -115,6 +120,24 @@ def without_control(network: Network) -> Network:
     )
 
 
+def begun_at_rays(network: Network, points: Integers) -> Network:
+    """The network with those of the points that lie nowhere near their rays placed where these meet.
+
+    A digit typed wrong may be kilometres: what is found without given coordinates cannot begin at them.
+    """
+    rays, exposures, values = network.rays, network.exposures, network.points.values
+    rays = rays.rows(np.isin(rays.point, points))
+    slopes = slopes_of(network.cameras, exposures.camera[rays.image], rays.plane)
+    rotation = matrix_from_angles(exposures.values[:, :3])[rays.image]
+    centre = exposures.values[rays.image, 3:]
+    miss = ray_residuals(rotation, centre, values[rays.point], slopes)
+    # In principal distances: attitudes to start from may be degrees off.
+    near = np.isin(np.arange(len(values)), rays.point[miss < _ASTRAY])
+    meeting = intersect(rays.point, len(values), centre, rotation, slopes, np.ones(len(slopes)))
+    placed = np.where((near | np.isnan(meeting).any(axis=1))[:, None], values, meeting)
+    return replace(network, points=replace(network.points, values=placed))
+
+
 def survey_covariance(network: Network, control: Integers) -> Floats:
     """Covariance of surveyed coordinates, (n, 3, 3): a held one has no error, but rounding."""
     held, weight = network.points.held[control], network.points.weight[control]
@@ -130,7 +153,7 @@ def predicted(network: Network, state: State | None = None) -> Predicted | None:
     control = control_points(network)
     if len(control) < policy.fewest_control_to_blame:
         return None
-    alone = without_control(network)
+    alone = without_control(begun_at_rays(network, control))
     if not len(network.positions.image):
         # Nothing else holds the block: a similarity is common to all points.
         free = replace(
@@ -170,13 +193,13 @@ def contradiction(seen: Predicted) -> Contradiction | WrongSigmas | None:
     if not removed:
         return None
     likelier = _scale_beside_points(seen, removed, axes)
-    if likelier > 0.0:
-        return WrongSigmas(as_points=likelier <= policy.as_good)
     error, spread = zip(
         *(_beside_others(seen.d, seen.covariance, seen.common, removed, k) for k in removed), strict=True
     )
     sigma = np.sqrt(np.diagonal(np.array(spread), axis1=1, axis2=2))
     found = _contradiction(seen, removed, np.array(error), sigma)
+    if likelier > 0.0:
+        return WrongSigmas(found if likelier <= policy.as_good else None)
     # The more points are blamed, the more each of them must be told from a factor of all.
     return replace(found, as_scale=-likelier <= policy.as_good * len(removed))
 

@@ -85,10 +85,13 @@ def stated_sigma(group: GroupTest) -> Finding:
 
 def _beside_points(sigma: Finding, found: SystematicErrors) -> Finding:
     """Sigmas of control that points which are wrong explain as well."""
-    if not found.undecided or sigma.subject not in CONTROL:
+    rival = found.undecided
+    if rival is None or sigma.subject not in CONTROL:
         return sigma
-    figures = {**sigma.figures, "same": ("control-mistyped",)}
-    return replace(sigma, figures=figures, clauses=(*sigma.clauses, "same"))
+    points = tuple(found.first.network.point_names[j] for j in rival.points)
+    of_points = {"points": points, "off_m": float(np.abs(rival.error).max())}
+    figures = {**sigma.figures, "same": ("control-mistyped",), **of_points}
+    return replace(sigma, figures=figures, clauses=(*sigma.clauses, "same"), remedy="points-or-sigmas")
 
 
 def named(found: SystematicErrors, slips: Slips = no_slips) -> list[Finding]:
@@ -297,7 +300,7 @@ def _strip(found: SystematicErrors, error: SystematicError) -> Finding:
 def _mistyped(found: SystematicErrors, error: SystematicError, cause: Cause, slips: Slips) -> list[Finding]:
     """Name each control point that contradicts the others: with w, and what would have been detected."""
     away = ndtri(policy.power) - ndtri(policy.significance / 2)
-    listed, rivals = [], ("sigmas-too-small",) * found.undecided
+    listed, rivals = [], ("sigmas-too-small",) * (found.undecided is not None)
     for k, point in enumerate(points_of(found.first.network, cause)):
         own = error.hypothesis.estimates[3 * k : 3 * k + 3]
         # Computed from the other points less given.

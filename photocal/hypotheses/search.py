@@ -37,6 +37,7 @@ from photocal.hypotheses.causes import (
 from photocal.hypotheses.control import (
     Contradiction,
     WrongSigmas,
+    begun_at_rays,
     contradiction,
     control_points,
     predicted,
@@ -71,7 +72,7 @@ class SystematicErrors:
     explained: share of what v'Pv was too large by that is explained; NaN where it was not too large.
     memory: what neighbouring positions share.
     shared: equations of what images share, with all free that a cause may free.
-    undecided: whether wrong control points and wrong sigmas of all control explain it equally well.
+    undecided: control points whose being wrong and wrong sigmas of all control explain it equally well.
     """
 
     tested: tuple[Hypothesis, ...]
@@ -87,7 +88,7 @@ class SystematicErrors:
     explained: float
     memory: Memory | None
     shared: Condensed
-    undecided: bool = False
+    undecided: Contradiction | None = None
 
     @property
     def adequate(self) -> bool:
@@ -132,12 +133,12 @@ def systematic_errors(
     given, gross = without_gross_rays(straight)
     done()
     start, sigmas, against = given, list[GroupTest](), None if at_once else _contradicted(given)
-    scaled, undecided = None if against is None else isinstance(against, WrongSigmas), False
+    scaled = None if against is None else isinstance(against, WrongSigmas)
+    undecided = against if isinstance(against, Contradiction) and against.as_scale else None
     if isinstance(against, WrongSigmas):
         # What one factor explains is laid at no point's door.
-        undecided = against.as_points
+        undecided = against.rival
         against, table = None, tuple(entry for entry in table if entry.each not in ("point", "pair"))
-    undecided |= isinstance(against, Contradiction) and against.as_scale
     stated: Stated | None = None
     steps = dict[str, list[float]]()
     for _ in range(_SETTLING + 1):
@@ -245,7 +246,8 @@ def without_wrong_control(
     )
     try:
         with because(f"with {entry.code}"):
-            fitted = fit(_applied(network, cause))
+            applied = _applied(network, cause)
+            fitted = fit(applied if against.exchanged else begun_at_rays(applied, np.array(against.points)))
     except (IllPosedError, NotConvergedError):
         return None
     gain = math.inf if solution is None else solution.chi_squared - fitted.solution.chi_squared

@@ -13,6 +13,7 @@ from photocal.findings.digits import Number, power_of_ten, symbol
 from photocal.findings.document import Column, Paragraph, Piece, Section, TablePart, columns, said_table
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, finding_text, need_words
+from photocal.findings.verdict import by_methods
 from photocal.geometry.camera import Camera
 from photocal.report.stored_analysis import AnalysedRun
 
@@ -298,9 +299,9 @@ def _loadings(one: PublishedSet, components: Components, say: Catalogue) -> Tabl
 
 def warning_sections(findings: tuple[Finding, ...], verdict: Sequence[str], say: Catalogue) -> list[Section]:
     """List warnings and notes, but for those that the lines of the verdict have in full."""
-    tables = []
+    tables, once = [], by_methods(findings)
     for kind in ("warning", "note"):
-        every = [finding_text(f, say) for f in findings if (f.severity == "note") == (kind == "note")]
+        every = [finding_text(f, say) for f in once if (f.severity == "note") == (kind == "note")]
         texts = [text for text in every if not any(text in line for line in verdict)]
         heads = (Column(""), *columns(say, "warnings", f"{kind}<"))
         rows = tuple((str(n), text) for n, text in enumerate(texts, start=1))

@@ -14,6 +14,7 @@ from photocal.base.extensions import STAGES, brought
 from photocal.base.progress import Bar, Progress, quiet, unseen
 from photocal.block.folder import read_block
 from photocal.findings.texts import catalogue, finding_text, plain
+from photocal.findings.verdict import by_methods
 from photocal.project import Project, read_project
 from photocal.run.block import block_stage, given_block_stage
 from photocal.run.calibration import analysis_stage, calibration_stage, certificate_stage
@@ -282,7 +283,7 @@ def run_one(
         run_project(project, day, progress, until, again, rehash, report, bar)
     except PhotocalError:
         # What other stages found doubtful is often why one cannot go on.
-        for warning in gather(project.output, {result.name for result in made}):
+        for warning in by_methods(gather(project.output, {result.name for result in made})):
             text = finding_text(warning, catalogue("en"), plain)
             say(f"{project.name}: {kind(warning)}: {warning.code}: {text}")
         raise

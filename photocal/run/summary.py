@@ -16,6 +16,7 @@ from photocal.findings.listed import Findings
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, findings_of, plain
 from photocal.findings.verdict import (
     Verdict,
+    by_methods,
     held_and_contradicted,
     judge,
     read_verdict,
@@ -470,7 +471,10 @@ def _warning_lines(
 ) -> Iterator[str]:
     for group in ("warning", "consequence", "note"):
         of_group = [warning for warning in warnings if warning["kind"] == group]
-        texts = [f"{one.code}: {finding_text(one, say, plain)}" for one in findings_of(of_group, SCHEMA)]
+        texts = [
+            f"{one.code}: {finding_text(one, say, plain)}"
+            for one in by_methods(findings_of(of_group, SCHEMA))
+        ]
         if not texts and group == "warning":
             # Nothing is called clean while the verdict is not.
             clean = final is None or final["severity"] == "passed"

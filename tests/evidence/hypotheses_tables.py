@@ -148,6 +148,7 @@ def defects(old: Study, new: Study) -> list[str]:
     both_clean = "the same: something sound accused"
     return [
         line(1, f"damage above {DAMAGED:g} or joint p below 0.1 %, and called usable", size_unknown),
+        line(1, "the same, and no reservation names the fault, first or as rival", silently_usable),
         line(
             2,
             "rolling 15, 40 ms, y scale 1e-3: `check` accuses what is sound",
@@ -223,10 +224,21 @@ def doubts(row: Row) -> bool:
 
 def size_unknown(study: Study) -> str:
     """Count blocks that are harmed and called usable, of those that are harmed."""
-    harmed = [
-        r for r in study.of("fault") if r.damage > DAMAGED or r.p < IMPROBABLE or r.sigma0_squared > 9.0
-    ]
-    return share(r.check_verdict != "not-usable" for r in harmed)
+    return share(r.check_verdict != "not-usable" for r in harmed(study))
+
+
+def silently_usable(study: Study) -> str:
+    """Count those of them of which no reservation says why they are harmed."""
+    return share(
+        r.check_verdict == "usable"
+        or (r.check_verdict != "not-usable" and not named_or_rival(study.faults[r.name], r, "check"))
+        for r in harmed(study)
+    )
+
+
+def harmed(study: Study) -> list[Row]:
+    """Flights whose check points err by more than any verdict may pass over."""
+    return [r for r in study.of("fault") if r.damage > DAMAGED or r.p < IMPROBABLE or r.sigma0_squared > 9.0]
 
 
 def of_direct(row: Row) -> bool:

@@ -173,3 +173,25 @@ def test_older_verdicts_have_an_outcome_alone() -> None:
     }
     assert read_verdict(old, "here").block == "unknown"
     assert headline(read_verdict(old, "here"), EN) == "No action is needed."
+
+
+def test_what_two_methods_show_is_said_once_with_both() -> None:
+    """Points that fit neither direct nor integrated are said once, and what fits one alone beside them."""
+
+    def shown(method: str, *points: str) -> Finding:
+        figures = {"method": method, "points": points}
+        return Finding("check-outside-prediction", "doubtful", method, figures)
+
+    alike = judge([shown("direct", "p4", "p7"), shown("integrated", "p4", "p7")])
+    said = verdict_text(alike, catalogue("en"))[1:]
+    assert [line.partition(" differs")[0] for line in said] == ["Direct and integrated: check point p4, p7"]
+    apart = judge([shown("direct", "p4"), shown("integrated", "p4", "p9"), shown("indirect", "p9")])
+    said = verdict_text(apart, catalogue("pt-BR"))[1:]
+    assert [line.count("p4") for line in said] == [1, 0]
+    assert [line.count("p9") for line in said] == [0, 1]
+    refused = [
+        Finding("method-refused", "grave", method, {"method": method, "reason": f"why {method}"})
+        for method in ("integrated", "indirect")
+    ]
+    (line,) = verdict_text(judge(refused), catalogue("en"))[1:]
+    assert line.startswith("Integrated and indirect georeferencing is not possible")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 from pathlib import Path
 
@@ -208,12 +207,13 @@ def test_control_that_bends_the_block_is_named_first(tmp_path: Path) -> None:
 
 
 def test_a_run_that_fails_tells_why(tmp_path: Path) -> None:
-    """A control point 5 km off: no image finds its place, and the refusal names the point."""
+    """A control point 5 km off: no adjustment ends, and the check and the refusal name the point first."""
     path, name = with_control_off(tmp_path, 5000.0)
     said = run(str(path))
     assert isinstance(said.exception, IllPosedError)
-    assert re.search(rf"\b{name}\b", str(said.exception))
-    assert "warning: method-refused" in said.stderr
+    assert said.exception.remedy.startswith(f"first correct or leave out {name}:")
+    told = [line for line in said.stderr.splitlines() if ": warning: " in line]
+    assert f"warning: control-mistyped: Control point {name} contradicts" in told[0]
     assert not (tmp_path / "work" / "certificate").exists()
 
 
