@@ -346,7 +346,8 @@ def _figure(key: str, value: Any, say: Catalogue, name: Callable[[str], str]) ->
         joint = ", " if PHRASES[key] == "lever" else say("join.and")
         return joint.join(_phrase(PHRASES[key], text, say, name) for text in texts)
     if key in TERMS:
-        return say("join.and").join(say.term(text) for text in texts)
+        terms = [say.term(text) for text in texts]
+        return say("join.and").join([", ".join(terms[:-1]), *terms[-1:]] if terms[1:] else terms)
     if key in PARAMETERS:
         return " ".join(name(text) for text in texts)
     if key == "shares":
