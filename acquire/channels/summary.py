@@ -48,10 +48,10 @@ def verdict_on(figures: dict[str, Any], exposures: dict[str, int]) -> dict[str, 
         seen["mark"] = marks
     links = {link["link"]: link for link in figures["links"]}
     raw = {name: _raw(link) for name, link in links.items()}
-    receivers = [name for name, kind in raw.items() if kind]
-    remarks = [*_of_exposures(seen), *(text for name in receivers for text in _of_receiver(name, raw[name]))]
-    remarks += _of_damage(links.values())
-    faultless = not remarks and figures["complete"]
+    steady = {name: _steady(kinds) for name, kinds in raw.items() if kinds}
+    remarks = [*_of_exposures(seen), *_of_damage(links.values())]
+    gaps = any((now["longest_gap_s"] or 0.0) > GAP_S for now in steady.values())
+    faultless = not remarks and not gaps and figures["complete"]
     if not figures["complete"]:
         remarks.append("the log ends early: acquire recover saves its intact part")
     orbits = any(kind["type"] in _ORBITS for link in links.values() for kind in link["types"])
@@ -59,7 +59,8 @@ def verdict_on(figures: dict[str, Any], exposures: dict[str, int]) -> dict[str, 
     return {
         "complete": faultless and bool(seen),
         "exposures": seen,
-        "ppk": _possible(_lacks_for_ppk(receivers, orbits=orbits)),
+        "receivers": steady,
+        "ppk": _possible(_lacks_for_ppk([*steady], orbits=orbits)),
         "exposures_possible": _possible(no_exposure),
         "remarks": remarks,
     }
@@ -77,8 +78,21 @@ def verdict_lines(said: dict[str, Any]) -> list[str]:
     head = f"pictures: {counts or 'none triggered, reported or marked'}"
     yes = "complete" if said["complete"] else "CHECK"
     processed = f"PPK {_answer(said['ppk'])}; exposures {_answer(said['exposures_possible'])}"
+    steady = (f"  {name}: raw observations{_rate_words(now)}" for name, now in said["receivers"].items())
     remarks = (f"  {remark}" for remark in said["remarks"])
-    return [f"verdict: {yes}", f"  {head}", *remarks, f"  can be processed: {processed}"]
+    return [f"verdict: {yes}", f"  {head}", *steady, *remarks, f"  can be processed: {processed}"]
+
+
+def _steady(kinds: list[dict[str, Any]]) -> dict[str, float | None]:
+    """Rate and longest gap of a receiver, by its steadiest message: of RTCM one system may be out of view."""
+    steadiest = min(kinds, key=lambda kind: kind["longest_gap_s"] or 0.0)
+    return {"rate_hz": steadiest["rate_hz"], "longest_gap_s": steadiest["longest_gap_s"]}
+
+
+def _rate_words(steady: dict[str, float | None]) -> str:
+    rate, longest = steady["rate_hz"], steady["longest_gap_s"] or 0.0
+    at = "" if rate is None else f" at {rate:.3g} Hz"
+    return at + (f" with gaps, the longest {longest:.1f} s" if longest > GAP_S else " without gaps")
 
 
 def _answer(possible: dict[str, Any]) -> str:
@@ -92,12 +106,6 @@ def _raw(link: dict[str, Any]) -> list[dict[str, Any]]:
 def _of_exposures(seen: dict[str, int]) -> list[str]:
     most = max(seen.values(), default=0)
     return [f"only {count} of {most} pictures {_LACKS[key]}" for key, count in seen.items() if count < most]
-
-
-def _of_receiver(name: str, kinds: list[dict[str, Any]]) -> list[str]:
-    # Of RTCM one system may be out of view: the steadiest of its messages tells.
-    longest = min(kind["longest_gap_s"] or 0.0 for kind in kinds)
-    return [f"{name}: raw observations with gaps, the longest {longest:.1f} s"] if longest > GAP_S else []
 
 
 def _of_damage(links: Any) -> list[str]:

@@ -132,7 +132,7 @@ def _text(figures: dict[str, Any], *, types: bool) -> str:
             lines.append(f"  {receiver}: {shares}")
     for source, told in figures["mounting"].items():
         sender = source.split("/")[0]
-        lines += ["", f"mounting as {told['parameters']} parameters of {sender} tell it (body axes)"]
+        lines += ["", f"mounting, from {told['parameters']} parameters of {sender} (body axes)"]
         lines += mounting_lines(told)
     if not types:
         return "\n".join(lines)
@@ -148,11 +148,11 @@ def _link(link: dict[str, Any], *, types: bool) -> list[str]:
     lines = [
         f"{link['link']}: {link['frames']} frames, {link['frame_bytes']} bytes in {link['duration_s']:.1f} s",
         f"  {link['damage_bytes']} bytes belong to no valid frame",
-        f"  {gaps['count']} gaps over {gaps['longer_than_s']:g} s, the longest {gaps['longest_s']:.2f} s",
+        f"  gaps over {gaps['longer_than_s']:g} s: {gaps['count']}, the longest {gaps['longest_s']:.2f} s",
     ]
     lines += [
         f"  source system {s['system']} component {s['component']}: {s['frames']} frames,"
-        f" {s['missing_numbers']} numbers missing"
+        f" {s['missing_numbers']} more were sent and did not arrive"
         for s in link["sources"]
     ]
     if link["clock"]:

@@ -257,10 +257,13 @@ class LogFiles:
             return []
         if flushing_s > SLOW_S:
             self._slow, self._slow_due_s = True, now + SLOW_TOLD_S
-            text = f"{file.path}: the disk has not confirmed a write for {flushing_s:.1f} s"
-            return [("disk_slow", f"{text}: a power cut now would lose that and more")]
+            text = (
+                f"the disk has not confirmed a write for {flushing_s:.1f} s: a power cut now would lose that "
+                f"and more ({file.path.name})"
+            )
+            return [("disk_slow", text)]
         was_slow, self._slow = self._slow, False
-        return [("note", f"{file.path}: the disk keeps up again")] if was_slow else []
+        return [("note", f"the disk keeps up again ({file.path.name})")] if was_slow else []
 
     def _rotate(self, file: OpenFile) -> list[Notice]:
         try:
@@ -291,7 +294,7 @@ class LogFiles:
             except TimeoutError:
                 if patience_s:
                     self._ends.remove(end)
-                    text = f"{file.path}: the disk does not answer, unconfirmed data may be missing"
+                    text = f"the disk does not answer, unconfirmed data may be missing ({file.path.name})"
                     notices.append(("disk_slow", text))
                 continue
             self._ends.remove(end)

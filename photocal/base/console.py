@@ -281,7 +281,7 @@ def numbers_of(text: str, option: str, form: str) -> list[float]:
     except ValueError:
         values = []
     if len(values) != form.partition(":")[0].count(",") + 1 or not all(map(math.isfinite, values)):
-        raise ConfigurationError(f"{text!r} is not {form}", "write it so", where=option)
+        raise ConfigurationError(f"{text!r} is not of the form {form}", "write it in this form", where=option)
     return values
 
 

@@ -24,6 +24,10 @@ LANGUAGES = ("en", "pt-BR")
 # Their sections may add to each other, their keys are all different.
 CATALOGUES = ("findings", "report", "analysis", "verdict", "terminal", "new", "commands", "refusals")
 
+# In a refusal these places may have a word of ours, which has its own translation.
+_WORD_PLACES = ("what", "role", "kind", "height", "height_kind", "model", "stated")
+_PLACE = re.compile(r"\{\w+\}")
+
 
 @dataclass(frozen=True)
 class Words:
@@ -98,8 +102,17 @@ class Catalogue:
     def _known(self, text: str, section: str, own: Mapping[str, str] | None = None) -> str:
         for english, said in (*(own or {}).items(), *_twins(self.language, section)):
             if found := _pattern(english).fullmatch(text):
-                return said.format(**{name: self._decimal(part) for name, part in found.groupdict().items()})
+                return said.format(
+                    **{name: self._part(name, part, section) for name, part in found.groupdict().items()}
+                )
         return text
+
+    def _part(self, name: str, text: str, section: str) -> str:
+        """Say what stands in the place of a value: a number, a refusal of its own, or a word."""
+        if section == "refusal":
+            word = self._known(text, "refusal_word") if name in _WORD_PLACES else text
+            text = word if word != text else self._known(text, section)
+        return self._decimal(text)
 
     def _decimal(self, text: str) -> str:
         """Give a number the decimal mark; what is no number stays."""
@@ -162,7 +175,8 @@ def _twins(language: str, section: str) -> tuple[tuple[str, str], ...]:
         # What is wrong with a system is said in both ways.
         told = [key for key in english if key.startswith("new.unfit_")]
         twins += [(f"crs = {{crs}}{english[key]}", f"crs = {{crs}}{other[key]}") for key in told]
-    return tuple(twins)
+    # Of sentences that fit a text, the one with the fewest places for values says it.
+    return tuple(sorted(twins, key=lambda twin: -len(_PLACE.sub("", twin[0]))))
 
 
 @cache
@@ -332,7 +346,8 @@ def _figure(key: str, value: Any, say: Catalogue, name: Callable[[str], str]) ->
         joint = ", " if PHRASES[key] == "lever" else say("join.and")
         return joint.join(_phrase(PHRASES[key], text, say, name) for text in texts)
     if key in TERMS:
-        return say("join.and").join(say.term(text) for text in texts)
+        terms = [say.term(text) for text in texts]
+        return say("join.and").join([", ".join(terms[:-1]), *terms[-1:]] if terms[1:] else terms)
     if key in PARAMETERS:
         return " ".join(name(text) for text in texts)
     if key == "shares":

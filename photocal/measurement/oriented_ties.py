@@ -165,7 +165,8 @@ def orient_ties(
     """Orient a block by tracks of features and measure its tie points precisely."""
     names = start.images.names
     try:
-        first = first_orientation(start, tracks)
+        with progress("orienting the pictures", None):
+            first = first_orientation(start, tracks)
     except PhotocalError as refusal:
         places = np.full((tracks.count, 3), np.nan)
         block = with_ties(start, tracks, places, np.ones(len(tracks.track)))

@@ -250,7 +250,8 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     if project is not None:
         holding = HOLDING if known.starts is None else ((),)
         open_lens = project.images.lens == "unknown"
-        final, measured, findings = with_released_cameras(oriented, block, holding, open_lens=open_lens)
+        with progress("adjusting the cameras", None):
+            final, measured, findings = with_released_cameras(oriented, block, holding, open_lens=open_lens)
         oriented = replace(oriented, adjusted=final, left_out=(*oriented.left_out, *final.left_out))
         if known.starts is None:
             gimbal = {facts.name: facts.gimbal_deg for facts in tracked.facts}

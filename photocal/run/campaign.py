@@ -28,6 +28,7 @@ from photocal.run.course import (
     expected,
     followed,
     into,
+    usual_pieces,
 )
 from photocal.run.exposures import exposures_stage
 from photocal.run.flown import flown_stage
@@ -129,7 +130,10 @@ def run_project(
     check_project(project)
     wanted = wanted[: None if until is None else names.index(until) + 1]
     last = {stage.name: last_seconds(stage, project.output) for stage in wanted}
-    course = Course(expected(last, last, _size(project, wanted)), progress, seen_s=sum(last.values()))
+    size = _size(project, wanted)
+    course = Course(
+        expected(last, last, size), progress, seen_s=sum(last.values()), pieces=usual_pieces(size)
+    )
     with alone(project.output), bar() as show, followed(course, into(project.output / PROGRESS), show):
         digests = Digests(project.output / _MEMORY, again=rehash)
         due = foreseen(wanted, project.output, digests, again)

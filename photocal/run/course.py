@@ -18,7 +18,6 @@ _USUAL = {
     COMPILING: (50.0, 0.0, 0.0, 0.0),
     "ppk": (10.0, 0.0, 0.0, 0.0),
     "exposures": (1.0, 0.01, 0.0, 0.0),
-    "measurements": (5.0, 0.1, 0.13, 0.0),
     "block": (0.05, 0.01, 0.0, 0.003),
     "calibration": (0.7, 0.0, 0.0, 0.016),
     "flown": (0.3, 0.01, 0.0, 0.0),
@@ -27,16 +26,20 @@ _USUAL = {
     "certificate": (0.9, 0.0, 0.0, 0.002),
 }
 _OTHER = (5.0, 0.0, 0.0, 0.0)
-# Pieces of work of a stage in their order, and the share of its time that has passed when each ends.
+# The same for the pieces of work of a stage in their order.
 _PIECES = {
     "measurements": {
-        "detecting features": 0.2,
-        "matching pairs of images": 0.45,
-        "matching tie points precisely": 0.95,
+        "detecting features": (3.0, 0.0, 0.17, 0.0),
+        "matching pairs of images": (0.5, 0.3, 0.0, 0.0),
+        "orienting the pictures": (0.5, 0.9, 0.0, 0.0),
+        "matching tie points precisely": (0.5, 0.6, 0.0, 0.0),
+        "adjusting the cameras": (1.0, 2.5, 0.0, 0.0),
     }
 }
 # Of a ray in the files of a block.
 _OCTETS = {"observations.csv": 45.0, "observations.parquet": 20.0}
+# Work that takes longer than expected has at least this share of what it took before it.
+OVERDUE = 0.1
 # Before a block tells.
 RAYS_OF_A_PICTURE = 200.0
 
@@ -51,15 +54,36 @@ def about_rays(block: Path) -> float:
     return sum(path.stat().st_size / octets for path, octets in files if path.is_file())
 
 
+# Seconds of each piece of work of a stage, by their names.
+Pieces = Mapping[str, Mapping[str, float]]
+
+
+def _seconds(costs: tuple[float, ...], size: Workload) -> float:
+    first, *each = costs
+    return first + sum(seconds * amount for seconds, amount in zip(each, size, strict=True))
+
+
+def usual_pieces(size: Workload) -> Pieces:
+    """Seconds that are usual for the pieces of stages that have several."""
+    return {
+        stage: {name: _seconds(costs, size) for name, costs in pieces.items()}
+        for stage, pieces in _PIECES.items()
+    }
+
+
 def expected(last: Mapping[str, float], stages: Iterable[str], size: Workload) -> dict[str, float]:
     """Seconds that each stage will take: as last time, else what is usual for so much work."""
+    pieces = usual_pieces(size)
 
     def usual(name: str) -> float:
         """Seconds of a stage that was never made."""
-        first, *each = _USUAL.get(name, _OTHER)
-        return first + sum(seconds * amount for seconds, amount in zip(each, size, strict=True))
+        return sum(pieces[name].values()) if name in pieces else _seconds(_USUAL.get(name, _OTHER), size)
 
     return {name: last.get(name) or usual(name) for name in stages}
+
+
+# Of a flight of twelve pictures with 12 megapixels, where nobody tells how many there are.
+_A_FLIGHT = (12.0, 144.0, 2.4)
 
 
 class Course:
@@ -71,11 +95,17 @@ class Course:
         progress: Progress,
         clock: Callable[[], float] = time.monotonic,
         seen_s: float = 0.0,
+        pieces: Pieces | None = None,
     ) -> None:
-        """Begin; `seen_s` of what is expected is what a run before took."""
+        """Begin; `seen_s` of what is expected is what a run before took, by `pieces` a stage is divided."""
         self._ahead, self._progress, self._clock = dict(expected_s), progress, clock
         self._began = self._stage_began = self._piece_began = clock()
-        self._stage, self._title, self._expected, self._reached = "", "", 0.0, 0.0
+        self._pieces = usual_pieces(_A_FLIGHT) if pieces is None else pieces
+        self._stage, self._title, self._expected = "", "", 0.0
+        # Of the stage at work: what is expected of its pieces that have not ended, when the last one ended,
+        # and what those that have ended took and were expected to take.
+        self._open, self._piece_ended = dict[str, float](), self._began
+        self._pieces_took, self._pieces_meant = 0.0, 0.0
         self._done, self._total = 0.0, float("nan")
         self._share = 0.0
         # What is seen of the pace is weighed against so many seconds as expected, and what a run before took.
@@ -90,7 +120,10 @@ class Course:
         self._stage, self._title, self._stage_began = stage, "", self._clock()
         self._expected = self._ahead.pop(stage, expected_s)
         self._done, self._total, self._piece_began = 0.0, math.nan, self._stage_began
-        self._reached = 0.0
+        usual = self._pieces.get(stage, {})
+        whole = sum(usual.values())
+        self._open = {name: self._expected * seconds / whole for name, seconds in usual.items()}
+        self._piece_ended, self._pieces_took, self._pieces_meant = self._stage_began, 0.0, 0.0
 
     def revise(self, expected_s: Mapping[str, float]) -> None:
         """Expect otherwise of what has not begun: the run itself has told how much work there is."""
@@ -117,11 +150,37 @@ class Course:
                 self._done += amount
 
             yield advance
-        self._reached = _PIECES.get(self._stage, {}).get(title, self._reached)
+        meant = self._open.pop(title, None)
+        if meant is not None:
+            now = self._clock()
+            took, self._piece_ended = now - self._piece_ended, now
+            # What was kept from an earlier run tells nothing of the pace.
+            least = 0.25
+            if took >= least * meant:
+                self._pieces_took += took
+                self._pieces_meant += meant
+            self._done, self._total = 0.0, math.nan
 
     def _pace(self, more_s: float, more_meant_s: float) -> float:
         """Tell how many times as long as expected work takes here, with a stage that has not ended."""
         return math.pow((self._took + more_s) / (self._meant + more_meant_s), self._trust)
+
+    def _left_of_pieces(self, now: float, share: float, piece_left: float | None) -> float:
+        """Time left of a stage whose pieces are known: of the piece at work, then of those after it."""
+        took, meant = self._pieces_took, self._pieces_meant
+        # What is seen of the pace is weighed against this share of the stage as expected.
+        prior = 0.1 * self._pace(0.0, 0.0)
+        since = now - self._piece_ended
+        at_work = self._open.get(self._title, 0.0) if piece_left is not None else 0.0
+        if at_work and piece_left is not None:
+            took, meant = took + share * (since + piece_left), meant + share * at_work
+        pace = (took + prior * self._expected) / (meant + 0.1 * self._expected)
+        others = pace * (sum(self._open.values()) - at_work)
+        if not at_work or piece_left is None:
+            return max(others - since, piece_left or 0.0, OVERDUE * since)
+        # Until a fifth of the piece is done, what was expected of it counts as well.
+        own = min(share / 0.2, 1.0)
+        return own * piece_left + (1.0 - own) * max(pace * at_work - since, piece_left) + others
 
     def standing(self) -> Standing:
         """Tell how far it is now."""
@@ -131,28 +190,17 @@ class Course:
         known = math.isfinite(share) and not math.isnan(self._total)
         piece_left = piece_s * (1.0 / share - 1.0) if known and share > 0.0 else None
         pace = self._pace(0.0, 0.0)
-        left = pace * self._expected
-        # Further pieces, such as coded targets, stand between those that every flight has.
-        end = (
-            self._reached
-            if piece_left is None
-            else _PIECES.get(self._stage, {}).get(self._title, self._reached)
-        )
-        if end:
-            # The piece at work ends by its own pace, those after it take their usual share. Until a fifth of
-            # the stage is done, what was expected counts as well.
-            then_s = stage_s + (piece_left or 0.0)
-            own = min((self._reached + share * (end - self._reached)) / 0.2, 1.0)
-            left = own * (then_s / end - stage_s) + (1.0 - own) * max(left - stage_s, 0.0)
+        if self._open and self._expected:
+            left = self._left_of_pieces(now, share, piece_left)
         elif self._expected:
             # A stage that takes longer than expected has at least this share of what it took before it.
-            overdue = 0.1
-            left = max(left - stage_s, piece_left or 0.0, overdue * stage_s)
+            left = max(pace * self._expected - stage_s, piece_left or 0.0, OVERDUE * stage_s)
         else:
             left = piece_left or 0.0
         if self._expected:
             # A stage that takes longer than expected tells of the pace before it ends.
-            pace = max(pace, self._pace(stage_s + (left if end else 0.0), self._expected))
+            told = self._pieces_meant or (piece_left is not None and self._title in self._open)
+            pace = max(pace, self._pace(stage_s + (left if told else 0.0), self._expected))
         left += pace * sum(self._ahead.values())
         # What turns out to be longer stops the bar and does not turn it back.
         self._share = max(self._share, elapsed / (elapsed + left) if elapsed + left > 0.0 else 0.0)

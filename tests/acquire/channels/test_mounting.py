@@ -77,7 +77,7 @@ def test_logs_of_both_autopilots(file: str, count: int, shown: str, shared: Path
     source = shared / "data" / file
     assert CliRunner().invoke(app, ["import", str(source), "-o", str(out)]).exit_code == 0
     text = CliRunner().invoke(app, ["info", str(out)]).output
-    assert f"mounting as {count} parameters of vehicle tell it" in text
+    assert f"mounting, from {count} parameters of vehicle" in text
     assert shown in text
 
 

@@ -9,8 +9,8 @@ import pytest
 from acquire.channels.summary import verdict_lines, verdict_on
 
 
-def kind(name: str, longest_gap_s: float = 0.2) -> dict[str, Any]:
-    return {"type": name, "frames": 100, "longest_gap_s": longest_gap_s}
+def kind(name: str, longest_gap_s: float = 0.2, rate_hz: float = 5.0) -> dict[str, Any]:
+    return {"type": name, "frames": 100, "longest_gap_s": longest_gap_s, "rate_hz": rate_hz}
 
 
 def link(name: str, *kinds: dict[str, Any], damage: int = 0) -> dict[str, Any]:
@@ -18,7 +18,7 @@ def link(name: str, *kinds: dict[str, Any], damage: int = 0) -> dict[str, Any]:
 
 
 ROVER = link("rover", kind("RXM-RAWX"), kind("RXM-SFRBX"), kind("TIM-TM2", 30.0))
-BASE = link("base", kind("1077", 1.0), kind("1005", 10.0))
+BASE = link("base", kind("1077", 1.0, 1.0), kind("1005", 10.0, 0.1))
 SEEN = {"trigger": 10, "feedback": 10, "rising": 10, "falling": 9}
 
 
@@ -32,6 +32,8 @@ def test_a_whole_flight_is_complete() -> None:
     assert verdict_lines(said) == [
         "verdict: complete",
         "  pictures: 10 triggered, 10 reported by the autopilot, 10 time marks",
+        "  rover: raw observations at 5 Hz without gaps",
+        "  base: raw observations at 1 Hz without gaps",
         "  can be processed: PPK yes; exposures yes",
     ]
 
@@ -47,7 +49,7 @@ def test_a_whole_flight_is_complete() -> None:
         (
             (ROVER, link("base", kind("1077", 7.5))),
             SEEN,
-            "base: raw observations with gaps, the longest 7.5 s",
+            "base: raw observations at 5 Hz with gaps, the longest 7.5 s",
         ),
         ((ROVER, link("base", kind("1077"), damage=4_000)), SEEN, "4000 bytes belong to no valid frame"),
         ((ROVER,), SEEN, "PPK no (raw observations of rover only"),
@@ -58,6 +60,10 @@ def test_a_whole_flight_is_complete() -> None:
 )
 def test_what_lacks_is_named(links: tuple[dict[str, Any], ...], seen: dict[str, int], words: str) -> None:
     assert words in "\n".join(verdict_lines(verdict_on(figures(*links), seen)))
+
+
+def test_a_flight_with_gaps_is_not_complete() -> None:
+    assert not verdict_on(figures(ROVER, link("base", kind("1077", 7.5))), SEEN)["complete"]
 
 
 def test_a_cut_log_is_not_complete() -> None:

@@ -119,7 +119,7 @@ def test_text_says_what_the_conversion_costs(run_in_mm: Path, tmp_path: Path) ->
         (["--format", "patb"], "unit of the angles is not given"),
         (["--format", "patb", "--angle-unit", "mil"], "angle unit 'mil'"),
         (["--format", "kml"], "the origin of the local frame is not given"),
-        (["--format", "kml", "--origin", "47.5,8"], "is not LATITUDE,LONGITUDE,HEIGHT"),
+        (["--format", "kml", "--origin", "47.5,8"], "is not of the form LATITUDE,LONGITUDE,HEIGHT"),
         (["--format", "kml", "--origin", "147.5,8,0"], "not on the Earth"),
         (["--format", "inpho"], "is in px"),
         (["--format", "pix4d"], "affinity"),
