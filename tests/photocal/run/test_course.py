@@ -50,11 +50,13 @@ def test_an_overdue_stage_tells_of_those_after_it() -> None:
         assert course.standing().left_s == pytest.approx(analysis_s, rel=0.1)
 
 
-# Seconds of each piece of measuring, as three recorded sets took them; others worked on the same two cores.
+# Recorded with nothing beside, nothing kept from before: pictures, megapixels, and seconds of each piece of
+# measuring. What is usual was fitted to the first three; the last stood apart.
 RECORDED = {
-    "caliterra": (160.0, 32.0, 60.0, 79.0, 149.0),
-    "lewis": (105.0, 12.0, 10.0, 13.0, 17.0),
-    "brighton": (173.0, 26.0, 69.0, 31.0, 312.0),
+    "caliterra": ((12.0, 144.0, 2.4), (21.0, 3.7, 7.2, 6.3, 9.5)),
+    "lewis": ((10.0, 120.0, 2.0), (22.0, 3.0, 4.7, 3.3, 3.3)),
+    "brighton": ((18.0, 162.0, 3.6), (31.9, 5.3, 9.4, 7.1, 40.5)),
+    "kite": ((16.0, 64.0, 3.2), (21.8, 8.9, 40.5, 7.7, 16.2)),
 }
 PIECES = (
     "detecting features",
@@ -65,12 +67,17 @@ PIECES = (
 )
 # Nobody knows how much they have to do.
 UNCOUNTED = PIECES[2::2]
+# How many times as long everything takes on the computer at work.
+PACES = (0.5, 1.0, 3.0)
 
 
-def told(seconds: tuple[float, ...], titles: tuple[str, ...]) -> tuple[list[float], list[float]]:
-    """Errors of the time left, as logarithms, and shares of the bar, second by second; 15 s are expected."""
-    clock, errors, shares, left = Clock(), list[float](), list[float](), sum(seconds) + 5.0
-    course = Course({"measurements": 15.0, "analysis": 5.0}, quiet, clock)
+def told(name: str, pace: float, titles: tuple[str, ...] = PIECES) -> tuple[list[float], list[float]]:
+    """Error of the remaining time (log of told by real) and share done, second by second."""
+    size, recorded = RECORDED[name]
+    clock, errors, shares = Clock(), list[float](), list[float]()
+    seconds, ahead = [pace * amount for amount in recorded], expected({}, ("measurements", "analysis"), size)
+    left = sum(seconds) + pace * ahead["analysis"]
+    course = Course(ahead, quiet, clock, pieces=usual_pieces(size))
     course.begin("measurements")
     for title, amount in zip(titles, seconds, strict=True):
         with course.progress(title, None if title in UNCOUNTED else amount) as done:
@@ -84,26 +91,23 @@ def told(seconds: tuple[float, ...], titles: tuple[str, ...]) -> tuple[list[floa
     return errors, shares
 
 
-def test_pieces_of_a_stage_tell_more_of_its_time_than_the_piece_at_work() -> None:
-    """The mean error over all sets, beside that of a stage whose pieces nobody knows."""
+@pytest.mark.parametrize("name", RECORDED)
+def test_pieces_of_a_stage_tell_more_of_its_time_than_the_piece_at_work(name: str) -> None:
+    """The mean error on computers of other paces, beside that of a stage whose pieces nobody knows."""
     known, unknown = list[float](), list[float]()
-    for seconds in RECORDED.values():
-        errors, shares = told(seconds, PIECES)
+    for pace in PACES:
+        errors, shares = told(name, pace)
         assert shares == sorted(shares)
         known.append(statistics.mean(errors))
-        unknown.append(statistics.mean(told(seconds, ("one", "two", "three", "four", "five"))[0]))
+        unknown.append(statistics.mean(told(name, pace, ("one", "two", "three", "four", "five"))[0]))
     assert statistics.mean(known) < statistics.mean(unknown)
 
 
-def test_the_first_second_of_a_flight_promises_no_quick_end() -> None:
-    """The three sets took 480, 157 and 611 s, on cores that others used as well."""
-    for size, seconds in (
-        ((12.0, 144.0, 2.4), 480.0),
-        ((10.0, 120.0, 2.0), 157.0),
-        ((18.0, 162.0, 3.6), 611.0),
-    ):
-        promised = expected({}, ("measurements",), size)["measurements"]
-        assert seconds / 8.0 < promised < seconds
+@pytest.mark.parametrize("name", RECORDED)
+def test_the_first_second_of_a_flight_promises_half_to_twice_its_time(name: str) -> None:
+    size, seconds = RECORDED[name]
+    promised = expected({}, ("measurements",), size)["measurements"]
+    assert 0.5 < promised / sum(seconds) < 2.0
 
 
 def test_the_time_left_falls_while_a_piece_without_an_amount_is_at_work() -> None:
