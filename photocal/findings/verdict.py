@@ -129,7 +129,7 @@ def held_and_contradicted(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
 
 def every_line(findings: Iterable[Finding], images: int = 0) -> tuple[VerdictLine, ...]:
     """Give all lines of a verdict, and behind them those of the notes, however many there are."""
-    listed = _once(findings)
+    listed = _once(by_methods(tuple(findings)))
     notes = [finding for finding in listed if finding.severity == "note"]
     return (*_lines(_deciding(listed), images), *_lines(notes, images))
 
@@ -185,21 +185,26 @@ def _line(alike: Sequence[Finding], images: int) -> VerdictLine:
 
 
 def by_methods(findings: Sequence[Finding]) -> list[Finding]:
-    """Say once, with all its methods, what more than one of them shows: points, or a refusal."""
+    """Say once, with all its methods, what more than one of them shows: points, or a refusal.
+
+    Findings that this has made are among the given ones where a certificate tells them.
+    """
     listed = list[Finding]()
     for finding in findings:
         alike = [f for f in findings if (f.code, f.severity) == (finding.code, finding.severity)]
         if finding.code not in _OF_METHODS or len(alike) == 1:
             listed.append(finding)
         elif finding is alike[0]:
-            methods = dict[str, list[object]]()
+            methods = dict[str, dict[str, None]]()
             for each in alike:
+                shows = each.figures["method"]
                 for point in each.figures.get("points") or ("",):
-                    methods.setdefault(str(point), []).append(each.figures["method"])
+                    known = methods.setdefault(str(point), {})
+                    known |= dict.fromkeys([shows] if isinstance(shows, str) else shows)
             for of in dict.fromkeys(map(tuple, methods.values())):
                 points = tuple(point for point, shown in methods.items() if tuple(shown) == of and point)
                 figures = {**finding.figures, "method": of, **({"points": points} if points else {})}
-                listed.append(replace(finding, figures=figures))
+                listed.append(replace(finding, subject=", ".join(of), figures=figures))
     return listed
 
 

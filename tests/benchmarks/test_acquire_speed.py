@@ -15,6 +15,7 @@ from pyubx2 import UBXReader
 
 from drivers.frames import StreamFramer, Wire
 from drivers.ubx.decode import RXM_RAWX, decode_rawx
+from tests.drivers.test_framing import ALL, DECEIVING
 
 pytestmark = [pytest.mark.shared, pytest.mark.benchmark(group="acquire")]
 
@@ -72,3 +73,20 @@ def test_raw_observations_against_pyubx2(
     with capsys.disabled():
         sys.stderr.write(f"\nRXM-RAWX {rate:,.0f}/s, pyubx2 {theirs:,.0f}/s\n")
     assert rate > 100_000
+
+
+@pytest.mark.parametrize("pattern", DECEIVING)
+def test_streams_made_to_deceive(pattern: bytes, benchmark: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    """Search of bytes each of which begins a frame; asked are 5 MB/s of one thread."""
+    piece, framer = (pattern * 65536)[:65536], StreamFramer(ALL)
+    framer.feed(piece)
+    took_s = list[float]()
+
+    def search() -> None:
+        start = time.thread_time()
+        framer.feed(piece)
+        took_s.append(time.thread_time() - start)
+
+    benchmark(search)
+    with capsys.disabled():
+        print(f"\n{pattern!r}: {len(piece) / min(took_s) / 1e6:.1f} MB/s")

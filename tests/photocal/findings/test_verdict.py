@@ -9,6 +9,7 @@ from photocal.findings.texts import catalogue, finding_text
 from photocal.findings.verdict import (
     MOST_LINES,
     Known,
+    every_line,
     headline,
     judge,
     line_text,
@@ -189,6 +190,11 @@ def test_what_two_methods_show_is_said_once_with_both() -> None:
     said = verdict_text(apart, catalogue("pt-BR"))[1:]
     assert [line.count("p4") for line in said] == [1, 0]
     assert [line.count("p9") for line in said] == [0, 1]
+    # A certificate tells these lines again beside the findings of its stages.
+    raw = [shown("integrated", "p1", "p5"), shown("indirect", "p1", "p3", "p5")]
+    again = every_line([*raw, *(line.worst for line in judge(raw).lines)])
+    assert [line.worst.figures["points"] for line in again] == [("p1", "p5"), ("p3",)]
+    assert [line.worst.figures["method"] for line in again] == [("integrated", "indirect"), ("indirect",)]
     refused = [
         Finding("method-refused", "grave", method, {"method": method, "reason": f"why {method}"})
         for method in ("integrated", "indirect")

@@ -145,8 +145,8 @@ def event(number: int, place: Place) -> str:
         (POINTS[:3], True, "has 3 of the 4 pictures: positions of DJI_0003.JPG stay their own"),
         ([(lon, lat + 0.06, h) for lon, lat, h in POINTS], False, "is it the table of another flight?"),
         ([(0.0, 0.0, 0.0)] * 4, False, "4 of 4 positions of the list are impossible"),
-        ([*POINTS[:3], (0.0, 0.0, 0.0)], False, "(event 3)"),
-        ([*POINTS[:3], (16.47, 47.69, 460.0)], False, "(event 3)"),
+        ([*POINTS[:3], (0.0, 0.0, 0.0)], False, "(line 4)"),
+        ([*POINTS[:3], (16.47, 47.69, 460.0)], False, "(line 4)"),
     ],
     ids=["own", "one is lost", "another flight", "zeros", "one zero", "a jump"],
 )
