@@ -136,15 +136,22 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 # Files whose tests take long together, with their seconds: they have runs of their own, and begin first in a
-# run of all. `make times` measures them anew.
+# run of all. `make times` measures them anew. What is "kept" is never left for the longest run: much stands
+# on it.
 TIMES = Path(__file__).with_name("times.txt")
-SLOW_S, LONG_S = 12.0, 80.0
+SLOW_S, LONG_S = 20.0, 60.0
 
 
 def times() -> dict[Path, float]:
     """Seconds of the files that take long."""
     lines = (line.split() for line in TIMES.read_text(encoding="utf-8").splitlines())
-    return {ROOT / file: float(seconds) for seconds, file in lines}
+    return {ROOT / file: float(seconds) for seconds, file, *_ in lines}
+
+
+def kept() -> set[Path]:
+    """Files that are not left for the longest run, however long they take."""
+    lines = (line.split() for line in TIMES.read_text(encoding="utf-8").splitlines())
+    return {ROOT / file for _, file, *words in lines if words}
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -156,10 +163,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what looks at pages and what takes long; the longest begin first: none runs alone at the end."""
-    known = times()
+    known, stays = times(), kept()
     for item in items:
         seconds, asked = known.get(item.path, 0.0), getattr(item, "fixturenames", ())
-        if seconds >= LONG_S:
+        if seconds >= LONG_S and item.path not in stays:
             item.add_marker("long")
         elif seconds >= SLOW_S or "installed" in asked:
             item.add_marker("slow")
@@ -184,5 +191,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
             if hasattr(report, "duration") and hasattr(report, "nodeid"):
                 file = report.nodeid.partition("::")[0]
                 took[file] = took.get(file, 0.0) + report.duration
+    words = {file.relative_to(ROOT).as_posix(): " kept" for file in kept()}
     slow = sorted((file, seconds) for file, seconds in took.items() if seconds >= SLOW_S)
-    TIMES.write_text("".join(f"{seconds:.0f} {file}\n" for file, seconds in slow), encoding="utf-8")
+    lines = (f"{seconds:.0f} {file}{words.get(file, '')}\n" for file, seconds in slow)
+    TIMES.write_text("".join(lines), encoding="utf-8")

@@ -53,7 +53,7 @@ def main() -> None:
             time.sleep(_EVERY_S)
         field.fix = NO_FIX
         page.goto(url)
-        page.get_by_text("missed: 7-8, 12").wait_for()
+        page.get_by_text("missed: 7-8, 12").first.wait_for()
         page.get_by_text("no fix", exact=False).first.wait_for()
         page.screenshot(path=MONITOR)
         browser.close()
