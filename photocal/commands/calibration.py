@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
+import typer
+
 from photocal.analysis.options import AnalysisOptions, PublishedOptions
 from photocal.base.console import (
     Answering,
@@ -18,6 +20,7 @@ from photocal.base.console import (
     answer,
     argument,
     option,
+    printable,
     progress,
     spread,
 )
@@ -151,6 +154,8 @@ def analyse(
     levels = analysis.alpha, analysis.correlation
     source = analysis.block or (run if (run / "block.toml").is_file() else None)
     if source is not None and not (run / RESULT).is_file():
+        if source != run:
+            typer.echo(printable(say("analysis.without_run", run=run, block=source)), err=True)
         block = read_any_block(source)
         with progress("adjusting again", 1.0) as advance:
             outcome = analyse_block(block, None, *levels, advance, analysis.bootstrap)

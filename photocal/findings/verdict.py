@@ -195,6 +195,8 @@ def by_methods(findings: Sequence[Finding]) -> list[Finding]:
         if finding.code not in _OF_METHODS or len(alike) == 1:
             listed.append(finding)
         elif finding is alike[0]:
+            # Each method is refused for a reason of its own: `details` have them.
+            shared = {key: figure for key, figure in finding.figures.items() if key != "reason"}
             methods = dict[str, dict[str, None]]()
             for each in alike:
                 shows = each.figures["method"]
@@ -202,8 +204,8 @@ def by_methods(findings: Sequence[Finding]) -> list[Finding]:
                     known = methods.setdefault(str(point), {})
                     known |= dict.fromkeys([shows] if isinstance(shows, str) else shows)
             for of in dict.fromkeys(map(tuple, methods.values())):
-                points = tuple(point for point, shown in methods.items() if tuple(shown) == of and point)
-                figures = {**finding.figures, "method": of, **({"points": points} if points else {})}
+                points = tuple(point for point, by in methods.items() if tuple(by) == of and point)
+                figures = {**shared, "method": of, **({"points": points} if points else {})}
                 listed.append(replace(finding, subject=", ".join(of), figures=figures))
     return listed
 

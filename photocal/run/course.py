@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Thread
+from types import MappingProxyType
 
 from photocal.base.errors import OutputError
 from photocal.base.files import output_file, write_json
@@ -85,10 +86,6 @@ def expected(last: Mapping[str, float], stages: Iterable[str], size: Workload) -
     return {name: last.get(name) or usual(name) for name in stages}
 
 
-# Of a flight of twelve pictures with 12 megapixels, where nobody tells how many there are.
-_A_FLIGHT = (12.0, 144.0, 2.4)
-
-
 class Course:
     """What a run has done, is doing and has before it; it is asked from beside the work."""
 
@@ -98,12 +95,12 @@ class Course:
         progress: Progress,
         clock: Callable[[], float] = time.monotonic,
         seen_s: float = 0.0,
-        pieces: Pieces | None = None,
+        pieces: Pieces = MappingProxyType({}),
     ) -> None:
         """Begin; `seen_s` of what is expected is what a run before took, by `pieces` a stage is divided."""
         self._ahead, self._progress, self._clock = dict(expected_s), progress, clock
         self._began = self._stage_began = self._piece_began = clock()
-        self._pieces = usual_pieces(_A_FLIGHT) if pieces is None else pieces
+        self._pieces = pieces
         self._stage, self._title, self._expected = "", "", 0.0
         # Of the stage at work: what is expected of its pieces that have not ended, when the last one ended,
         # and what those that have ended took and were expected to take.

@@ -13,6 +13,7 @@ from functools import cache
 from pathlib import Path
 
 from tests.docs.rooms import PACKAGES, ROOT, modules
+from tests.sources import template
 
 # A string of one word is a key or a name; two words and more are read by somebody.
 _READ = re.compile(r"[^\W\d_]{2,}[,;:.]?\s+[^\W\d_]{2,}")
@@ -84,9 +85,7 @@ def in_python(source: str, file: str, commands: bool = False) -> Iterator[Text]:
             silent |= {id(part) for part in node.values}
     for node in ast.walk(tree):
         if isinstance(node, ast.JoinedStr):
-            text = "".join(
-                str(part.value) if isinstance(part, ast.Constant) else "{}" for part in node.values
-            )
+            text = template(node)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in silent:
             text = node.value
         else:

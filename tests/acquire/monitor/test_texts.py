@@ -14,6 +14,7 @@ import pytest
 
 from acquire.monitor import reducer, traffic, view_model
 from acquire.recording import alarms, device_line, dialogues, files, link_session, reader, recorder
+from tests.sources import template
 
 _HERE = resources.files("acquire.monitor")
 TEXTS: dict[str, list[str]] = json.loads(_HERE.joinpath("texts.json").read_text(encoding="utf-8"))
@@ -46,8 +47,7 @@ def sample(node: ast.expr) -> str | None:
         return str(node.value)
     if not isinstance(node, ast.JoinedStr):
         return None
-    parts = [part.value if isinstance(part, ast.Constant) else _VALUE for part in node.values]
-    return "".join(map(str, parts))
+    return template(node, _VALUE)
 
 
 def sentences(module: ModuleType) -> Iterator[str]:

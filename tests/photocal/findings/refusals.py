@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from tests.sources import template
+
 _PLACE = re.compile(r"\{[^{}]*\}")
 # Python's own, which reach programmers; a ValueError is what pydantic and readers pass on.
 _OF_PYTHON = re.compile(r"(Type|Attribute|Key|Index|Runtime|Import|OS|BlockingIO|TOMLDecode)Error$")
@@ -81,7 +83,7 @@ class _Module:
         if isinstance(node, ast.Constant):
             return [node.value] if isinstance(node.value, str) else []
         if isinstance(node, ast.JoinedStr):
-            return ["".join(str(p.value) if isinstance(p, ast.Constant) else "{}" for p in node.values)]
+            return [template(node)]
         if isinstance(node, ast.IfExp):
             return self.texts(node.body, within) + self.texts(node.orelse, within)
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):

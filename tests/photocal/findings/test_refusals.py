@@ -16,6 +16,7 @@ import photocal
 from photocal.base import errors
 from photocal.findings.texts import catalogue
 from tests.photocal.findings.refusals import Refusal, refusals_of
+from tests.sources import template
 
 PACKAGES = tuple(Path(str(package.__file__)).parent for package in (photocal, acquire))
 ENGLISH = {key: text for key, text in catalogue("en").messages.items() if key.startswith("refusal.")}
@@ -69,8 +70,7 @@ def pieces(path: Path) -> set[str]:
     found = set[str]()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.JoinedStr):
-            parts = (part.value if isinstance(part, ast.Constant) else "{}" for part in node.values)
-            found.add("".join(map(str, parts)))
+            found.add(template(node))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             found.add(node.value)
     return found

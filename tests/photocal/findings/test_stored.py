@@ -15,6 +15,7 @@ import photocal
 from photocal.exchange import bingo, micmac, parts, pix4d_project, quality_report
 from photocal.findings.texts import catalogue
 from photocal.run import adopt, adopt_rays
+from tests.sources import template
 
 PACKAGE = Path(photocal.__file__).parent
 PORTUGUESE = catalogue("pt-BR")
@@ -64,7 +65,7 @@ def sample(node: ast.expr) -> str | None:
         return node.value
     if not isinstance(node, ast.JoinedStr):
         return None
-    return "".join(str(part.value) if isinstance(part, ast.Constant) else VALUE for part in node.values)
+    return template(node, VALUE)
 
 
 def literals() -> Iterator[str]:

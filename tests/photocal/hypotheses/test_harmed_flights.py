@@ -60,6 +60,7 @@ def test_a_block_that_no_adjustment_ends_with_is_analysed_by_command(tmp_path: P
         assert verdict["block"] == "no"
         assert "co0" in verdict["said"][0]
         assert "co1" in verdict["said"][0]
+        assert (f"{run} has no result of an adjustment" in said.stderr) is ("--block" in words)
 
 
 def test_residuals_far_above_their_sigmas_are_never_a_mere_reservation(tmp_path: Path) -> None:

@@ -67,6 +67,8 @@ PIECES = (
 )
 # Nobody knows how much they have to do.
 UNCOUNTED = PIECES[2::2]
+# Of a flight of twelve pictures with 12 megapixels.
+USUAL = usual_pieces((12.0, 144.0, 2.4))
 # How many times as long everything takes on the computer at work.
 PACES = (0.5, 1.0, 3.0)
 
@@ -110,13 +112,19 @@ def test_the_first_second_of_a_flight_promises_half_to_twice_its_time(name: str)
     assert 0.5 < promised / sum(seconds) < 2.0
 
 
-def test_the_time_left_falls_while_a_piece_without_an_amount_is_at_work() -> None:
+def with_features(seconds: float) -> tuple[Clock, Course]:
+    """A stage of 100 s whose features took so long."""
     clock = Clock()
-    course = Course({"measurements": 100.0}, quiet, clock)
+    course = Course({"measurements": 100.0}, quiet, clock, pieces=USUAL)
     course.begin("measurements")
     with course.progress(PIECES[0], 30) as done:
-        clock.now += 30.0
+        clock.now += seconds
         done(30)
+    return clock, course
+
+
+def test_the_time_left_falls_while_a_piece_without_an_amount_is_at_work() -> None:
+    clock, course = with_features(30.0)
     before = course.standing().left_s
     with course.progress(PIECES[2], None):
         clock.now += 5.0
@@ -125,22 +133,16 @@ def test_the_time_left_falls_while_a_piece_without_an_amount_is_at_work() -> Non
 
 def test_pieces_that_an_earlier_run_left_promise_no_quick_end() -> None:
     """Features that are kept are there at once; the pieces after them are not."""
-    clock = Clock()
-    course = Course({"measurements": 100.0}, quiet, clock)
-    course.begin("measurements")
-    with course.progress(PIECES[0], 30) as done:
-        clock.now += 0.5
-        done(30)
-    left = course.standing().left_s
+    left = with_features(0.5)[1].standing().left_s
     # What features take of all pieces of the usual flight is not among it any more.
-    pieces = usual_pieces((12.0, 144.0, 2.4))["measurements"]
+    pieces = USUAL["measurements"]
     rest = 100.0 * (1.0 - pieces[PIECES[0]] / sum(pieces.values()))
     assert left == pytest.approx(rest, rel=0.02)
 
 
 def test_a_piece_that_few_flights_have_leaves_the_time_as_it_was() -> None:
     clock = Clock()
-    course = Course({"measurements": 15.0, "analysis": 5.0}, quiet, clock)
+    course = Course({"measurements": 15.0, "analysis": 5.0}, quiet, clock, pieces=USUAL)
     course.begin("measurements")
     with course.progress(PIECES[0], 30) as done:
         clock.now += 30.0
@@ -162,7 +164,7 @@ def test_what_has_not_begun_is_expected_otherwise() -> None:
 
 def test_time_left_is_that_of_all_stages_at_the_pace_of_this_machine() -> None:
     clock = Clock()
-    course = Course({"measurements": 100.0, "block": 10.0, "certificate": 90.0}, quiet, clock)
+    course = Course({"measurements": 100.0, "block": 10.0, "certificate": 90.0}, quiet, clock, pieces=USUAL)
     course.begin("measurements")
     assert course.standing().left_s == pytest.approx(200.0)
     with course.progress("matching", 50) as done:
