@@ -20,12 +20,14 @@ from photocal.findings.finding import FACTOR, Finding, Size
 from photocal.findings.texts import Catalogue, finding_json, plain, remedy_text, sentence
 
 # May a block be mapped with, may a camera be carried to other flights. Not placed: the datum is inner
-# constraints. Held: nothing of the camera was estimated.
-Answer = Literal["yes", "reserved", "no", "not-placed", "held", "unknown"]
+# constraints. Held: nothing of the camera was estimated. On heights: c cannot be told from a shift of them.
+Answer = Literal["yes", "on-heights", "reserved", "no", "not-placed", "held", "unknown"]
 # Whoever reads more than that reads nothing; so many that are alike are one line, fewer each say their own.
 MOST_LINES, ALIKE = 7, 3
 # Causes that no camera can have estimated that was held because the block does not bear it.
 _ESTIMATED = ("principal-distance", "principal-point")
+# What the positions alone hold.
+_OPEN = ("not-separated", "not-determined")
 # What each method of georeferencing shows of one matter.
 _OF_METHODS = ("check-outside-prediction", "control-outside-prediction", "method-refused", "global-test")
 _ORDER = ("refused", "grave", "doubtful", "consequence")
@@ -98,7 +100,7 @@ def judge(findings: Iterable[Finding], known: Known = Known()) -> Verdict:
     return Verdict(
         outcome,
         _answer(deciding, _OF_CAMERA) if known.placed else "not-placed",
-        _answer(deciding, _OF_BLOCK) if known.calibrated else "held",
+        _of_camera(deciding, listed) if known.calibrated else "held",
         lines[:MOST_LINES],
         max(0, len(lines) - MOST_LINES),
         sum(f.severity == "note" for f in listed),
@@ -156,6 +158,14 @@ def _answer(deciding: Sequence[Finding], elsewhere: frozenset[str]) -> Answer:
     if any(f.severity in ("refused", "grave") for f in bearing):
         return "no"
     return "reserved" if bearing else "yes"
+
+
+def _of_camera(deciding: Sequence[Finding], listed: Iterable[Finding]) -> Answer:
+    """Whether the camera may be carried: that its c follows from the heights of the positions is told."""
+    answer = _answer(deciding, _OF_BLOCK)
+    terms = (f.figures.get("terms") for f in listed if f.code in _OPEN)
+    of_heights = any(isinstance(of, tuple) and "c" in of for of in terms)
+    return "on-heights" if answer == "yes" and of_heights else answer
 
 
 def alike_findings(findings: Iterable[Finding]) -> dict[tuple[str, str], list[Finding]]:

@@ -77,6 +77,22 @@ def test_a_factor_above_one_and_a_half_is_not_usable() -> None:
     assert judge([of_global_test(30_973.0 * dof, dof, accepted=False)]).block == "no"
 
 
+@pytest.mark.parametrize(
+    ("code", "terms", "answer"),
+    [
+        ("not-separated", ("c", "shift_z"), "on-heights"),
+        ("not-determined", ("c",), "on-heights"),
+        ("not-determined", ("time_offset",), "yes"),
+    ],
+)
+def test_a_camera_whose_c_the_heights_hold_is_not_carried_without_a_word(
+    code: str, terms: tuple[str, ...], answer: str
+) -> None:
+    verdict = judge([Finding(code, "note", " ".join(terms), {"terms": terms})])
+    assert (verdict.camera, verdict.outcome.code, verdict.lines) == (answer, "usable", ())
+    assert ("heights" in headline(verdict, EN)) == (answer == "on-heights")
+
+
 def test_alike_findings_are_one_line_with_their_neighbours() -> None:
     names = [f"DJI_20260314_{k:04d}" for k in (3, 572, 573, 574, 575, 580, 654)]
     given = [image(name, 1.2 + 0.05 * k) for k, name in enumerate(names)]
