@@ -33,7 +33,8 @@ def new(
     ] = "",
     height: Annotated[str, option("Height kind of the control points: ellipsoidal or orthometric.")] = "",
     marks: Annotated[
-        str, option("Size (1/2) and rotation (exif, 90) of the pictures that were marked; or fraction.")
+        str,
+        option("Size (1/2), turn (exif, 90) or axes (bottom, swapped) of the marked pictures; or fraction."),
     ] = "",
     again: Annotated[
         bool, option("Keep the answers and comments of project.toml and add new findings.", "--again")

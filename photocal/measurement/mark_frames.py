@@ -33,6 +33,9 @@ from photocal.measurement.match_images import MatchSettings, match
 FACTORS = (1.0, 0.5, 0.25, 2.0, 4.0)
 FRACTION = "fraction"
 TURNS = ("stored", "exif", "90", "180", "270")
+# Rows counted from the lower edge, and row before column: turns by 180 and 270 degrees, mirrored. Along a
+# strip both may fit what a turn explains, too: they are tried where nothing else fits.
+_AXES = {"bottom": (180, True), "swapped": (270, True)}
 # Pairs of pictures that are compared, on reduced copies; the nearest matches carry a mark over.
 MOST_PAIRS, LONGEST_PX, NEAREST, FEWEST = 6, 1200, 12, 20
 # Marks carried over miss by such a share of the picture's diagonal where they show one place, and by so many
@@ -49,7 +52,8 @@ class MarkFrame:
     """How marks were made.
 
     factor: size of the pictures that they were made in, over the stored ones.
-    turn: "stored", "exif" for as viewers show them, or degrees clockwise.
+    turn: "stored", "exif" for as viewers show them, degrees clockwise, "bottom" for rows counted from below,
+        or "swapped" for row before column.
     fraction: whether they are fractions of the width and the height, from the upper left corner.
     """
 
@@ -72,7 +76,7 @@ class MarkFrame:
             return say("new.frame_fraction")
         share = Fraction(self.factor).limit_denominator(1000)
         size = "" if self.factor == 1.0 else say("new.frame_size", share=share)
-        turned = {"stored": "", "exif": say("new.frame_exif")}
+        turned = {"stored": ""} | {name: say(f"new.frame_{name}") for name in ("exif", *_AXES)}
         turn = turned.get(self.turn, say("new.frame_turn", turn=self.turn))
         both = say("new.frame_both", size=size, turn=turn) if size and turn else size or turn
         return both or say("new.frame_stored")
@@ -95,7 +99,7 @@ class MarkFrame:
     def _turn_of(self, picture: ImageFacts) -> tuple[int, bool]:
         if self.turn == "exif":
             return _TURNED.get(picture.orientation, 0), picture.orientation in _MIRRORED
-        return (0 if self.turn == "stored" else int(self.turn)), False
+        return _AXES.get(self.turn) or (0 if self.turn == "stored" else int(self.turn), False)
 
 
 AS_STORED, OF_SIZE = MarkFrame(), MarkFrame(fraction=True)
@@ -167,7 +171,7 @@ class FrameChoice:
 
 
 def parse_frame(text: str) -> MarkFrame:
-    """Read an option: a factor ("1/2", "0.25"), a turn ("exif", "90"), or both; "1" is as stored.
+    """Read an option: a factor ("1/2", "0.25"), a turn ("exif", "90", "bottom"), or both; "1" is as stored.
 
     "fraction" is for marks between 0 and 1.
     """
@@ -175,7 +179,7 @@ def parse_frame(text: str) -> MarkFrame:
         return OF_SIZE
     factor, turn = 1.0, "stored"
     for word in text.lower().replace(",", " ").split():
-        if word in TURNS:
+        if word in TURNS or word in _AXES:
             turn = word
         elif re.fullmatch(r"\d+(\.\d+)?(/\d+)?|\.\d+", word) and 0.01 <= (value := _share(word)) <= 100:
             factor = value
@@ -183,7 +187,7 @@ def parse_frame(text: str) -> MarkFrame:
             raise ConfigurationError(
                 f"marks made in {text!r} are not understood",
                 "give the size of the pictures that they were made in over that of the stored ones (1/2), a "
-                f"turn (exif, 90, 180, 270), or both; or {FRACTION}",
+                f"turn (exif, 90, 180, 270, bottom, swapped), or both; or {FRACTION}",
                 where="--marks",
             )
     return MarkFrame(factor, turn)
@@ -221,9 +225,15 @@ def choose_frame(marks: Sequence[Mark], facts: Facts, folder: Mapping[str, Path]
         if as_stored.outside and len(told) == 1:
             return FrameChoice(told[0].frame, True, (*told, as_stored), 0)
         return FrameChoice(AS_STORED, not as_stored.outside, (as_stored, *others), 0)
-    judged = sorted(
-        (replace(fit, miss=_miss(fit.frame, carried, facts)) for fit in possible), key=lambda fit: fit.miss
-    )
+    judged = [replace(fit, miss=_miss(fit.frame, carried, facts)) for fit in possible]
+    if min(fit.miss for fit in judged) > FITS:
+        axes = [MarkFrame(frame.factor, turn) for turn in _AXES for frame in frames if frame.turn == "stored"]
+        judged += [
+            FrameFit(frame, 0, _miss(frame, carried, facts))
+            for frame in axes
+            if not _outside(frame.stored(marks, facts), facts)
+        ]
+    judged.sort(key=lambda fit: fit.miss)
     best = judged[0]
     own = next(fit for fit in judged if fit.frame == AS_STORED)
     if own.miss <= FITS and not own.outside:

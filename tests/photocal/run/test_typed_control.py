@@ -51,6 +51,16 @@ def shown(orientation: int) -> Callable[[list[Row]], list[Row]]:
     return lambda rows: [turned(row) for row in rows]
 
 
+def from_below(rows: list[Row]) -> list[Row]:
+    """Marks of a program whose rows count from the lower edge."""
+    return [replace(row, y=HEIGHT - 1.0 - row.y) for row in rows]
+
+
+def row_first(rows: list[Row]) -> list[Row]:
+    """Marks whose columns stand in the other order."""
+    return [replace(row, x=row.y, y=row.x) for row in rows]
+
+
 def new(photocal: Photocal, folder: Path, *more: str) -> dict[str, Any]:
     said = photocal("new", folder, "--json", *more)
     assert said.code == 0, said.err
@@ -81,8 +91,14 @@ def ran(photocal: Photocal, folder: Path, *more: str) -> str:
         (shown(6), 1, "turned by 90 degrees"),
         (shown(8), 1, "turned by 270 degrees"),
         (lambda rows: resized(0.5)(shown(6)(rows)), 6, "of 1/2 of the size and turned as EXIF"),
+        (from_below, 1, "with rows counted from the lower edge"),
+        (lambda rows: resized(0.5)(from_below(rows)), 1, "of 1/2 of the size and with rows counted from"),
+        (row_first, 1, "with row before column"),
     ],
-    ids=["half", "quarter", "double", "exif-3", "exif-6", "exif-8", "180", "90", "270", "half-exif-6"],
+    ids=[
+        *("half", "quarter", "double", "exif-3", "exif-6", "exif-8", "180", "90", "270", "half-exif-6"),
+        *("bottom", "half-bottom", "swapped"),
+    ],
 )
 def test_marks_made_in_other_pictures_are_brought_to_these(
     pictures: Path,

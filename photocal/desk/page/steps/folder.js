@@ -134,9 +134,9 @@ export async function mount(element, context) {
     return box;
   }
 
-  // "1/2 exif" in words: a size, a turn, or both.
+  // "1/2 exif" in words: a size, a turn or other axes, or both.
   function worded(frame) {
-    return frame.split(" ").map((part) => (["1", "exif"].includes(part) ? say(`frame.${part}`) : ["90", "180", "270"].includes(part) ? say("frame.turned", { angle: part }) : say("frame.size", { size: part }))).join(", ");
+    return frame.split(" ").map((part) => (["1", "exif", "bottom", "swapped"].includes(part) ? say(`frame.${part}`) : ["90", "180", "270"].includes(part) ? say("frame.turned", { angle: part }) : say("frame.size", { size: part }))).join(", ");
   }
 
   function drawForm(project) {
