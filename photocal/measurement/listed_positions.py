@@ -208,12 +208,7 @@ def judge_against_pictures(
     wrong = np.zeros(len(listed), dtype=np.bool_)
     if not known.any():
         return wrong, []
-    origin = np.nanmedian(listed[known], axis=0)
-    # Heights may be of several kinds.
-    ours, theirs = (
-        _offsets(place, origin)[:, :2]
-        for place in (listed[known], np.column_stack([stated[known, :2], listed[known, 2]]))
-    )
+    ours, theirs = _in_plane(listed[known], stated[known])
     away = np.linalg.norm(ours - theirs, axis=1)
     own, other = (np.linalg.norm(sigma[known, :2], axis=1) for sigma in (listed_sigma, stated_sigma))
     precise = other > 0
@@ -229,3 +224,75 @@ def judge_against_pictures(
     figures |= {"apart_m": float(np.median(away[away > limit]))}
     code = "list-of-another-flight" if many else "events-beside-pictures"
     return wrong, [Finding(code, "grave" if many else "doubtful", figures=figures)]
+
+
+def _in_plane(listed: Floats, stated: Floats) -> tuple[Floats, Floats]:
+    """East and north of both, m: heights may be of several kinds."""
+    origin = np.median(listed, axis=0)
+    ours, theirs = (
+        _offsets(place, origin)[:, :2] for place in (listed, np.column_stack([stated[:, :2], listed[:, 2]]))
+    )
+    return ours, theirs
+
+
+def judge_order(lines: Sequence[str], listed: Floats, stated: Floats) -> list[Finding]:
+    """Find a list that has lost or gained lines and was numbered anew: those behind go with other pictures.
+
+    lines: names of the rows, in the order of exposure.
+    listed, stated (n, 3): latitude, longitude (deg), height (m); NaN where not known.
+    """
+    known = np.flatnonzero(np.isfinite(listed).all(axis=1) & np.isfinite(stated[:, :2]).all(axis=1))
+    if not len(known):
+        return []
+    ours, theirs = _in_plane(listed[known], stated[known])
+    found = _shifted(ours, theirs)
+    if found is None:
+        return []
+    at, by = found
+    apart = float(np.median(np.linalg.norm(ours - theirs, axis=1)[at:]))
+    figures = {"n": float(len(known) - at), "all": float(len(known)), "apart_m": apart, "by": float(abs(by))}
+    cause = "lines-missing" if by > 0 else "lines-added"
+    return [Finding("list-shifted", "grave", lines[known[at]], figures, cause=cause)]
+
+
+def _shifted(ours: Floats, theirs: Floats) -> tuple[int, int] | None:
+    """From which row on each is that of a later picture, or an earlier one (-), by how many; None as a rule.
+
+    ours, theirs (n, 2): east and north of the list and of the pictures, m, in the order of exposure.
+
+    Positions of pictures may be offset, and late by some seconds, from first to last: along the strips the
+    difference is offset + late * spacing, and behind a lost line longer by one spacing (least squares).
+    """
+    # Rows on either side; how far a step is from whole spacings; what is left of them, and of the squares.
+    fewest, whole, left, drop = 3, 0.25, 0.2, 0.5
+    spacing = np.zeros_like(ours)
+    ahead, back = ours[2:] - ours[1:-1], ours[1:-1] - ours[:-2]
+    spacing[1:-1] = (ahead + back) / 2
+    # Where an aircraft turns, the spacing of neighbours is none.
+    straight = np.zeros(len(ours), dtype=np.bool_)
+    straight[1:-1] = np.linalg.norm(ahead - back, axis=1) < np.linalg.norm(spacing[1:-1], axis=1) / 2
+    rows = np.flatnonzero(straight)
+    if len(rows) < 2 * fewest:
+        return None
+    apart, along = (ours - theirs)[rows], spacing[rows]
+    design = np.zeros((len(rows), 2, 4))
+    design[:, 0, 0], design[:, 1, 1], design[:, :, 2] = 1.0, 1.0, along
+
+    def fit(count: int) -> tuple[float, float]:
+        """Step behind so many rows, in spacings, and the squares that it leaves."""
+        design[:, :, 3] = np.where(np.arange(len(rows)) >= count, along.T, 0.0).T
+        found = np.linalg.lstsq(design.reshape(-1, 4), apart.ravel(), rcond=1e-6)[0]
+        return float(found[3]), float(np.sum((apart - design @ found) ** 2))
+
+    tried = {count: fit(count) for count in range(fewest, len(rows) - fewest + 1)}
+    count = min(tried, key=lambda count: tried[count][1])
+    step, squares = tried[count]
+    by, typical = round(step), float(np.median(np.linalg.norm(along, axis=1)))
+    steady = squares <= len(rows) * (left * typical) ** 2 and squares <= drop * fit(len(rows))[1]
+    if not by or abs(step - by) > whole or not steady:
+        return None
+    # The gap itself lies between, among rows that have no spacing: the first that is nearer to those behind.
+    between = np.arange(rows[count - 1] + 1, rows[count] + 1)
+    jump = (ours - theirs)[between] - apart[count - 1]
+    nearer = np.linalg.norm(jump - by * along[count], axis=1) < np.linalg.norm(jump, axis=1)
+    return int(between[int(np.argmax(nearer))]), by

@@ -12,6 +12,7 @@ from photocal.measurement.listed_positions import (
     judge_against_pictures,
     judge_listed,
     judge_marks,
+    judge_order,
 )
 from photocal.navigation.events import CameraEventList, Events
 from photocal.navigation.exposures import Exposures, Matching
@@ -79,7 +80,9 @@ def _listed_events(e: Evidence) -> list[Finding]:
     shown = [facts.get(name) for name in e.antenna.first_images]
     if told is not None and any(shown):
         stated = np.array([(np.nan,) * 3 if f is None else f.position_sigma_m for f in shown])
-        findings += judge_against_pictures(lines, told, sigma, stated_places(shown), stated)[1]
+        places = stated_places(shown)
+        shifted = judge_order(lines, told, places)
+        findings += shifted or judge_against_pictures(lines, told, sigma, places, stated)[1]
     return findings
 
 

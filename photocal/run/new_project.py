@@ -19,12 +19,14 @@ from photocal.findings.texts import Catalogue, catalogue, finding_text, plain
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.measurement.control_review import listed as some_names
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
+from photocal.measurement.listed_positions import judge_order
 from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
 from photocal.measurement.mark_frames import AS_STORED, MarkFrame, parse_frame
 from photocal.measurement.marks import ControlMarks, named_after, pointed_after
 from photocal.measurement.picture_tests import judge_cameras, judge_pictures, told_beside
 from photocal.measurement.position_files import read_positions
 from photocal.navigation.flight_log import FlightLog
+from photocal.navigation.image_metadata import stated_places
 from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
 from photocal.run.camera_card import ChosenPictures, chosen_pictures
@@ -303,10 +305,12 @@ class _Text:
             except PhotocalError as refusal:
                 missing.append(say("new.not_used", text=say.refused(str(refusal))))
                 continue
-            apart = [found for found in judge_pictures(listed) if found.code == "table-beside-pictures"]
+            places = stated_places([image if image.altitude_kind == "table" else None for image in listed])
+            apart = judge_order(names, places, stated_places(self.facts))
+            apart += [found for found in judge_pictures(listed) if found.code == "table-beside-pictures"]
             told = [f"{self._beside(path)}: {finding_text(one, say, plain)}" for one in apart]
             known = sum(bool(np.isfinite(image.table_apart_m)) for image in listed)
-            if any(2 * found.figures["n"] > known for found in apart):
+            if any(found.severity == "grave" or 2 * found.figures["n"] > known for found in apart):
                 missing += [say("new.not_used", text=line) for line in told]
                 continue
             usable.append(path)

@@ -15,7 +15,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from photocal.base.errors import InputMalformedError
 from photocal.measurement.image_facts import ImageFacts
-from photocal.measurement.listed_positions import ListedPositions, judge_listed, judge_marks
+from photocal.measurement.listed_positions import ListedPositions, judge_listed, judge_marks, judge_order
 from photocal.measurement.picture_tests import judge_pictures
 from photocal.measurement.position_files import read_positions
 from photocal.navigation.events import CameraEventList, read_mrk
@@ -275,6 +275,76 @@ def test_a_line_that_is_missing_is_told(photocal: Photocal, tmp_path: Path) -> N
     (tmp_path / "x_Timestamp.MRK").write_text("\n".join([*lines()[:5], *lines()[6:]]) + "\n")
     told = json.loads(photocal("new", tmp_path, "--json").out)["missing"]
     assert "x_Timestamp.MRK has 11 of the 12 pictures: positions of DJI_0006.JPG stay their own" in told
+
+
+def between(one: str, other: str) -> str:
+    """An event of a picture that is there no more."""
+    own, next_one = one.split("\t"), other.split("\t")
+    second = (float(own[1]) + float(next_one[1])) / 2
+    latitude = (float(own[6].split(",")[0]) + float(next_one[6].split(",")[0])) / 2
+    return cells(one, time=f"{second:.6f}", lat=f"{latitude:.10f},Lat")
+
+
+@pytest.mark.parametrize(
+    ("kept", "said"),
+    [
+        ([*lines()[:5], *lines()[6:]], "From DJI_0006.JPG on, 6 of 11 positions of the list belong to other"),
+        ([*lines()[:5], between(*lines()[4:6]), *lines()[5:]], "From DJI_0006.JPG on, 7 of 12"),
+    ],
+    ids=["a line is missing", "a picture was deleted"],
+)
+def test_a_list_that_was_numbered_anew_is_not_used(
+    photocal: Photocal, tmp_path: Path, kept: list[str], said: str
+) -> None:
+    pictures(tmp_path / "DJI_001")
+    (tmp_path / "x_Timestamp.MRK").write_text("\n".join(renumbered(kept)) + "\n")
+    answer = photocal("new", tmp_path, "--json")
+    (left,) = (line for line in json.loads(answer.out)["missing"] if "x_Timestamp.MRK" in line)
+    assert said in left
+    assert "positions =" not in (tmp_path / "project.toml").read_text()
+
+
+def flown(seed: int) -> tuple[Floats, Floats]:
+    """A list, and what pictures state of strips there and back, degrees.
+
+    Pictures are off by an offset, by 1.5 m with a memory of a minute, and up to a second late.
+    """
+    rng = np.random.default_rng(seed)
+    spacing, speed = rng.uniform(8, 40), rng.uniform(5, 18)
+    strips, each = int(rng.integers(1, 7)), int(rng.integers(12, 25))
+    along = np.arange(each) * spacing
+    north = np.concatenate([along if k % 2 == 0 else along[::-1] for k in range(strips)])
+    east = np.repeat(np.arange(strips) * 1.5 * spacing, each)
+    heading = np.repeat(np.where(np.arange(strips) % 2, -1.0, 1.0), each)
+    place = np.column_stack([north, east]) + rng.normal(0, 0.3, (len(north), 2))
+    memory = np.exp(-spacing / speed / 60.0)
+    error = np.zeros_like(place)
+    error[0] = rng.normal(0, 1.5, 2)
+    for k in range(1, len(error)):
+        error[k] = memory * error[k - 1] + rng.normal(0, 1.5 * np.sqrt(1 - memory**2), 2)
+    late = np.column_stack([rng.uniform(0, 1) * speed * heading, np.zeros(len(north))])
+    told = place + error - late + rng.normal(0, 3, 2)
+
+    def degrees(metres: Floats) -> Floats:
+        scale = METRES_OF_DEGREE * np.array([1.0, np.cos(np.radians(LATITUDE))])
+        return np.column_stack([metres / scale + (LATITUDE, LONGITUDE), np.full(len(metres), HEIGHT_M)])
+
+    return degrees(place), degrees(told)
+
+
+def test_a_lost_line_is_found_and_a_whole_list_says_nothing() -> None:
+    """At random places; at the ends of strips, and where few rows are left, none can be told."""
+    found = []
+    for seed in range(200):
+        listed, told = flown(seed)
+        names = [f"picture {k}" for k in range(len(listed))]
+        assert judge_order(names, listed, told) == []
+        lost = int(np.random.default_rng(1000 + seed).integers(4, len(listed) - 5))
+        judged = judge_order(names[:-1], np.delete(listed, lost, axis=0), told[:-1])
+        found += [(one.cause, names.index(one.subject) - lost) for one in judged]
+    assert len(found) > 0.8 * 200
+    assert {cause for cause, _ in found} == {"lines-missing"}
+    assert np.mean([abs(beside) <= 1 for _, beside in found]) > 0.9
 
 
 def test_a_table_of_another_flight_is_named(tmp_path: Path) -> None:
