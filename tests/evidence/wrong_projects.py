@@ -164,9 +164,9 @@ def main(site: Path | None) -> None:
     text = [
         "# Wrong projects",
         "",
-        "Made by `python -m tests.evidence.wrong_projects`: the practice project with one thing wrong.",
-        f"The last line of `photocal run` names the cause in **{named} of {len(rows)}**, no traceback;",
-        f"stages that were made before are kept in {sum(kept for *_, kept, _ in rows)}.",
+        "Made by `python -m tests.evidence.wrong_projects`: the practice project with one error. The last",
+        f"line of `photocal run` names the cause in **{named} of {len(rows)}**, without a traceback;",
+        f"stages made before are kept in {sum(kept for *_, kept, _ in rows)}.",
         "",
         "| wrong | named | last line |",
         "|---|---|---|",
