@@ -167,8 +167,8 @@ def row(fault: SimulatedFault | None, flights: list[Processed]) -> str:
     count = len(flights)
     certified = [one.certificate for one in flights if one.certificate is not None]
     if fault is None:
-        cells = ["none", "", f"silent in {sum(not one.warnings for one in flights)} of {count}"]
-        cells.append(f"silent in {sum(not json_form for json_form, _ in certified)} of {len(certified)}")
+        cells = ["none", "", f"no cause in {sum(not one.warnings for one in flights)} of {count}"]
+        cells.append(f"no cause in {sum(not json_form for json_form, _ in certified)} of {len(certified)}")
     else:
         named = sum(name in one.warnings and f"{name}: " in one.shown for one in flights)
         written = sum(all(f"{name}: " in form for form in forms) for forms in certified)

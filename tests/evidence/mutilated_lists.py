@@ -48,8 +48,8 @@ SYSTEMS = (
 )  # fmt: skip
 CELLS = ("nan", "inf", "1e400", "-1e300", "", "x", "1,5", "0", "99999999", "-3", "a0.jpg", "½", "P 1")
 FOLDERS = (
-    "as it should be", "a picture is gone", "a picture is cut", "a picture is empty",
-    "EXIF turns the pictures", "a table of nothing beside", "a second list",
+    "intact", "a picture is gone", "a picture is cut", "a picture is empty",
+    "EXIF rotates the pictures", "an unrelated table", "a second list",
     "a folder of the list's name", "no picture",
 )  # fmt: skip
 
@@ -176,14 +176,14 @@ def _folder(folder: Path, kind: str, rng: np.random.Generator) -> None:
         one.write_bytes(one.read_bytes()[: int(rng.integers(1, 900))])
     elif kind == "a picture is empty":
         one.write_bytes(b"")
-    elif kind == "EXIF turns the pictures":
+    elif kind == "EXIF rotates the pictures":
         from PIL import Image
 
         turned = Image.Exif()
         turned[0x0112] = int(rng.choice([3, 6, 8]))
         for name in PICTURES:
             Image.open(folder / name).save(folder / name, exif=turned)
-    elif kind == "a table of nothing beside":
+    elif kind == "an unrelated table":
         (folder / "control.txt").write_bytes(rng.bytes(400) if rng.random() < 0.5 else b"a,b\n1,2\n")
     elif kind == "a second list":
         _list(folder / "gcp_list_2.txt", rng)
