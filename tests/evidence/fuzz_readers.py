@@ -70,13 +70,19 @@ MOST_FILES = 4
 # Of each reader so many files that fell are kept, to be looked at.
 MOST_KEPT = 3
 REPAIRED = (
-    "Found by earlier portions and repaired: OpenCV's own reader of calibrations wrote beyond its memory",
-    "and ended the program (such files are now read without it); an archive whose compression asks for a",
-    "dictionary of a gigabyte; a Pix4D project with a word or a truncated row in a matrix; rigs with",
-    "vectors of the wrong length; rig assignments that are a number; a PhotoModeler export that ends after",
-    "its photos; a RINEX file whose antenna or epochs are not numbers; archives with names that are not",
-    "text; a sensor width with two decimal points; a name of 300 letters; a rig with a list as its prefix,",
-    "or without a rotation.",
+    "Found by earlier portions and repaired:",
+    "",
+    "- OpenCV's own reader of calibrations wrote beyond its memory and ended the program",
+    "  (such files are now read without it);",
+    "- an archive whose compression asks for a dictionary of a gigabyte;",
+    "- a Pix4D project with a word or a truncated row in a matrix;",
+    "- rigs with vectors of the wrong length, with a list as their prefix, or without a rotation;",
+    "- rig assignments that are a number;",
+    "- a PhotoModeler export that ends after its photos;",
+    "- a RINEX file whose antenna or epochs are not numbers;",
+    "- archives with names that are not text;",
+    "- a sensor width with two decimal points;",
+    "- a name of 300 letters.",
 )
 LENGTHS = (0, 1 << 31, (1 << 32) - 1, 1 << 20)
 WORDS = (
