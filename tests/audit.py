@@ -187,12 +187,12 @@ def page(
         ("two builds of the wheel in two folders", "one hash", same),
     )
     lines = [
-        "# What the program is delivered with",
+        "# Supply chain: packages, licences, bill of materials",
         "",
         "Made by `make audit`. The lock names every package that is installed, by version and hashes of its",
-        "files; `make setup` installs nothing else. The bill of materials is written beside the wheel.",
+        "files; `make setup` installs nothing else. The bill of materials is in the folder of the wheel.",
         "",
-        "| what | asked | seen |",
+        "| what | required | seen |",
         "|---|---|---|",
         *(f"| {what} | {asked} | {seen} |" for what, asked, seen in rows),
         "",

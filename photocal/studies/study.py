@@ -118,7 +118,7 @@ class Study(Table):
 
     title: str
     year: int
-    kind: Literal["dissertation", "graduation thesis", "article"]
+    kind: Literal["dissertation", "bachelor's thesis", "article"]
     place: str
     asked: str
     concluded: str

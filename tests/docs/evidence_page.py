@@ -8,9 +8,10 @@ FOLDER = Path(__file__).parents[2] / "docs" / "evidence"
 PAGE = FOLDER / "README.md"
 _HEAD = """# Evidence
 
-Statistical studies of the program: simulated flights whose truth is known, recorded data compared with other
-programs, attempts to lose or forge a result. `make evidence` makes them again; each page names its command.
-Made by `python -m tests.docs`.
+Statistical studies of the program: simulated flights with known truth, recorded data compared with other
+programs, attempts to lose or forge a result. `make evidence` makes them again, and
+`python -m tests.evidence.NAME` one of them (with underscores; `live` needs a folder of pictures). Speed is
+from `make bench`, the supply chain from `make audit`. This list is made by `python -m tests.docs`.
 
 | study | page |
 |---|---|

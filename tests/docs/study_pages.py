@@ -23,9 +23,9 @@ HEAD = "| {} | year | printed figures that agree |\n|---|---|---|\n"
 README_HEAD = "[published study](docs/studies/README.md), by `photocal study NAME`"
 INDEX = """# Published studies
 
-Five studies of others, each repeated by its own commands on its own print: inputs and commands lie in
-`configs/studies/NAME/`, `photocal study NAME` copies the folder, runs them and compares every printed figure.
-Made by `python -m tests.docs`; a test makes each page again.
+Five published studies, each repeated by commands of this program from its printed data. Inputs and commands
+are in `configs/studies/NAME/`; `photocal study NAME` copies the folder, runs the commands and compares every
+printed figure. Made by `python -m tests.docs`; a test makes each page again.
 
 """
 
@@ -45,15 +45,16 @@ def page(name: str, made: Repeated) -> str:
     study = made.study
     agreeing, figures = made.printed
     head = f"{study.kind.capitalize()}, {study.place}, {study.year}."
+    others = "" if agreeing == figures else "; the reason for each of the others is given below"
     parts = [
         f"# {study.title}",
-        f"{head} {agreeing} of {figures} printed figures agree; each of the others has its reason below.",
+        f"{head} {agreeing} of {figures} printed figures agree{others}.",
         f"    photocal study {name} -o {name}",
         f"## What was asked\n\n{study.asked}",
         f"## What came out\n\n{study.concluded}",
         "## Inputs\n\n" + _table(("file", "what", "printed as"), (_input(one) for one in study.input)),
         "## Commands\n\n" + _commands(made),
-        "## Printed and ours\n\n" + _summary(made),
+        "## Printed figures and ours\n\n" + _summary(made),
         *_details(made),
         *_pictures(name, made),
         "## What is not repeated\n\n"
@@ -88,7 +89,7 @@ def _summary(made: Repeated) -> str:
     for one in made.tables:
         of = f"{one.agreeing} of {len(one.figures)}"
         rows.append((one.printed.title, f"`{one.printed.printed}`", of, one.printed.rounding))
-    return _table(("table", "file", "agree", "what may differ"), rows)
+    return _table(("table", "file", "agree", "tolerance"), rows)
 
 
 def _details(made: Repeated) -> list[str]:
@@ -96,16 +97,16 @@ def _details(made: Repeated) -> list[str]:
     parts = []
     differing = [f for one in made.tables for f in one.figures if not f.agrees]
     if differing:
-        parts.append("### What differs\n\n" + _figures(differing))
+        parts.append("### Figures that differ\n\n" + _figures(differing))
     alike = [f for one in whole for f in one.figures if f.agrees]
     if alike:
-        parts.append("### What agrees, of the short tables\n\n" + _figures(alike))
+        parts.append("### Figures that agree, in short tables\n\n" + _figures(alike))
     return parts
 
 
 def _figures(figures: list[ComparedFigure]) -> str:
     rows = ((f.table, f"{f.label}, {f.column}", f.printed, _rounded(f), f.why) for f in figures)
-    return _table(("table", "figure", "printed", "ours", "why not"), rows)
+    return _table(("table", "figure", "printed", "ours", "reason"), rows)
 
 
 def _rounded(figure: ComparedFigure) -> str:
@@ -123,7 +124,7 @@ def _pictures(name: str, made: Repeated) -> list[str]:
         f"![{one.shows}]({name}-{one.file})\n\n{one.shows}. The study concluded: {one.concluded}"
         for one in made.study.picture
     ]
-    return ["## Figures drawn anew", *parts]
+    return ["## Figures drawn again", *parts]
 
 
 def _table(heads: tuple[str, ...], rows: object) -> str:

@@ -37,7 +37,7 @@ WHICH: dict[str, Callable[[], Simulated]] = {"convergent": convergent, "flight":
 def clean() -> list[str]:
     """Table of false alarms on clean networks."""
     lines = [
-        "| network | seeds | list empty | asked | what was listed |",
+        "| network | seeds | list empty | required | what was listed |",
         "|---|---|---|---|---|",
     ]
     for name, make in WHICH.items():
@@ -104,13 +104,14 @@ def main() -> None:
     lines = [
         "# Analysis: false alarms and hidden errors",
         "",
-        "Simulated networks with the true model and 0.3 px of noise: eight convergent, rolled photographs,",
-        "and two strips of seven at two heights. Control points have their stated errors.",
+        "Networks simulated with the true model and 0.3 px of noise: eight convergent, rolled photographs,",
+        "and two strips of seven at two heights. The errors of the control points are as large as stated.",
         "",
         *clean(),
         "",
-        "One hidden error each: y scale 0.9990, shear 0.0008, K3 left out of the model, rows read during a",
-        "twentieth of the exposure interval, one image with its principal point moved by (20, 12) px.",
+        "One hidden error each: y scale 0.9990; shear 0.0008; K3 left out of the model; a rolling shutter",
+        "that reads the rows during a twentieth of the exposure interval; one image with its principal",
+        "point moved by (20, 12) px.",
         "",
         *injected(),
     ]

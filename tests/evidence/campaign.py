@@ -113,9 +113,9 @@ def main() -> None:
         lines = [
             "# A campaign: seven flights of one camera, and an eighth after its lens was touched",
             "",
-            "Flights of the plan `survey` over one field with one rig, without pictures,",
-            "from raw GNSS and telemetry; before the eighth the focal length grows by a thousandth.",
-            "`photocal compare` of the eight projects with `--exchange`.",
+            "Eight simulated flights of the plan `survey` over one field with one rig, without pictures,",
+            "from raw GNSS and telemetry. Before the eighth the principal distance grows by a thousandth.",
+            "The eight projects are compared by `photocal compare --exchange`.",
             "",
             *calibrated(projects),
             "",

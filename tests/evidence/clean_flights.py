@@ -55,10 +55,10 @@ def page(rows: Sequence[Row]) -> str:
     lines = [
         "# Clean flights, judged by both commands",
         "",
-        f"{len(rows)} flights of a simulator of their own (`tests/independent`) in {len(DESIGNS)} designs,",
-        "nothing wrong in any of them. A flight counts once, whichever of `photocal analyse` and",
-        "`photocal check` says it. Asked: grave or doubtful in at most 2 %, a note that names a cause",
-        "in at most 5 %.",
+        f"{len(rows)} flights of an independent simulator (`tests/independent`) in {len(DESIGNS)} designs,",
+        "none with an error. A flight counts once, whether `photocal analyse` or `photocal check` reports",
+        "the finding. Required: grave or doubtful findings in at most 2 % of the flights, a note that",
+        "names a cause in at most 5 %.",
         "",
         "| design | flights | grave | grave or doubtful | a cause in a note | an image is needed |",
         "|---|---|---|---|---|---|",
@@ -66,7 +66,7 @@ def page(rows: Sequence[Row]) -> str:
         f"| **all** | {' | '.join(map(str, whole))} |",
         f"| share | | {' | '.join(f'{100 * n / max(len(rows), 1):.1f} %' for n in whole[1:])} |",
         "",
-        f"Said gravely or doubtfully: {said(rows)}.",
+        f"Grave or doubtful findings: {said(rows)}.",
     ]
     return "\n".join(lines) + "\n"
 

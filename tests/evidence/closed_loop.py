@@ -54,16 +54,17 @@ DAY = dt.date(2025, 6, 16)
 _RIG = ("camera_to_antenna_m", "boresight_deg", "time_offset_s")
 _TITLES = {
     Level.BLOCK: "Positions with the noise that they state",
-    Level.OBSERVATIONS: "From what goes over the wires",
+    Level.OBSERVATIONS: "From raw GNSS data, time marks and telemetry",
 }
 _SAID = {
     Level.BLOCK: (
-        "Direct georeferencing is that of a second flight with camera and mounting of the first one and",
+        "Direct georeferencing is that of a second flight with camera and mounting of the first one, and",
         "their joint covariance.",
     ),
     Level.OBSERVATIONS: (
-        "Positions by PPK of the raw GNSS data, whose errors neighbouring exposures share; attitudes from",
-        "the telemetry. Direct georeferencing is that of the very flight, as `photocal run` does it.",
+        "Positions come from PPK of the raw GNSS data, with errors that neighbouring exposures share;",
+        "attitudes come from the telemetry. Direct georeferencing uses the calibration of the same flight,",
+        "as `photocal run` does.",
     ),
 }
 _POSE = ("omega", "phi", "kappa", "X0", "Y0", "Z0")
@@ -238,12 +239,13 @@ def page(loops: dict[Level, list[Loop]], processor_s: float) -> list[str]:
     return [
         "# The closed loop: what the processing finds against the simulated truth",
         "",
-        "Flights of the plan `survey` without pictures, each with its own terrain, wind,",
-        "rig, survey and noise. z is estimate less truth over the estimate's own standard deviation; values",
-        "of one flight are correlated, so the error of a share comes from the flights.",
+        "Flights of the plan `survey` without pictures, each with its own terrain, wind, rig, survey and",
+        "noise. z is an estimate minus the truth, divided by the standard deviation of the estimate.",
+        "Values of one flight are correlated: the error of a share is therefore derived from the scatter",
+        "of the flights.",
         "",
         *(line for level, found in loops.items() for line in part(found, level)),
-        f"Time of the processors: {processor_s / 60:.1f} minutes; two cores do it in half of that.",
+        f"Processor time: {processor_s / 60:.1f} minutes; two cores need half of that.",
     ]
 
 

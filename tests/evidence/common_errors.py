@@ -94,18 +94,21 @@ def main() -> None:
     lines = [
         "# What all positions of a flight share: simulated flights with known truth",
         "",
-        f"{FLIGHTS} flights of 240 s at 1 Hz for each line, another sky for each: mean of the errors of all",
-        "heights of a flight, over the flights its mean and scatter; the standard deviation stated for it",
-        "(median), and the root mean square of error over sigma: 1 when it is as large as claimed, below",
-        "when it is smaller. Made by `python -m tests.evidence.common_errors`.",
+        f"{FLIGHTS} flights of 240 s at 1 Hz for each line, each with another satellite geometry. The",
+        "height errors of a flight are averaged; the columns give mean and scatter of this average over",
+        "the flights. They are given as the engine has it, corrected by the climate at the place, and by",
+        "the weather measured at the base. Stated: the median of its stated standard deviation.",
+        "Error/sigma: root mean square, 1 when errors are as large as stated, below 1 when they are",
+        "smaller. Made by `python -m tests.evidence.common_errors`.",
         "",
         f"| {' | '.join(columns)} |",
         "|---" * len(columns) + "|",
         *(row(case) for case in CASES),
         "",
-        "The engine takes the air between base and rover as dry. The simulated air is that of the standard",
-        "atmosphere, 15 degrees at sea level: at 50 % of humidity it holds less than half of the vapour that",
-        "the climate of its place (23 degrees south) has in June, at 100 % nearly as much.",
+        "The engine assumes that the air between base and rover is dry. The simulated air is that of the",
+        "standard atmosphere, 15 degrees at sea level. At 50 % humidity it holds less than half of the",
+        "water vapour that the climate of this place (23 degrees south) has in June, at 100 % nearly as",
+        "much.",
     ]
     OUTPUT.parent.mkdir(parents=True, exist_ok=True)
     OUTPUT.write_text("\n".join(lines) + "\n", encoding="utf-8")

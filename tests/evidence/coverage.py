@@ -114,8 +114,8 @@ def main() -> None:
         "# Coverage of the 95 % intervals",
         "",
         f"{BLOCKS} blocks of 9 images and 18 points for each case: camera, orientations, points (observed to",
-        "3 mm), lever arm, boresight and time offset all unknown. Errors within one block are correlated, so",
-        "that single lines scatter by about their sampling error.",
+        "3 mm), lever arm, boresight and time offset all unknown. Errors within one block are correlated:",
+        "single lines scatter by about their sampling error.",
         "",
     ]
     for case in CASES:

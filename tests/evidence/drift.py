@@ -84,15 +84,17 @@ def main() -> None:
 def page(rows: list[str]) -> str:
     """The page with its rows."""
     heads = (
-        *("flight", "carried by", "flights", "drift named", "the gravest", "step named"),
+        *("flight", "datum by", "flights", "drift named", "as the gravest", "step named"),
         *("sigma of the drift", "coverage", "thirds at 5 %", "findings"),
     )
     lines = [
         "# Drift of the principal distance within a flight",
         "",
-        f"Flights of {IMAGES} images, 0.7 px. Drift: {DRIFT:.1%} of c from the first image to the last;",
-        "step: as much in the middle of the flight. Coverage: of 95 % by the drift's standard deviation",
-        "beside the other unknowns. Control points alone hardly tell a change of c from one of height.",
+        f"Flights of {IMAGES} images, 0.7 px of noise. Drift: c changes by {DRIFT:.1%} from the first",
+        "image to the last; step: by the same amount in the middle of the flight. Coverage: share of the",
+        "95 % intervals of the drift that contain its true value, all other unknowns being free. Thirds:",
+        "flights in which c differs between thirds of the flight at 5 %. Control points alone hardly",
+        "separate a change of c from a change of height.",
         "",
         f"| {' | '.join(heads)} |",
         "|" + "---|" * len(heads),

@@ -32,7 +32,8 @@ from tests.acquire.recording.undisturbed import GoodLink, configured
 BEFORE_S, FAULT_S, AFTER_S = 3.0, 12.0, 8.0
 DISK_MB = 24
 COLUMNS = (
-    "| fault | frames sent | lost | twice | wrong | told after, s | memory, MB | stop, s | exit code | told |"
+    "| fault | frames sent | lost | twice | wrong | alarm after, s | memory, MB | stop, s | exit code |"
+    " first alarm |"
 )
 OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "failing_media.md"
 
@@ -240,19 +241,19 @@ def main() -> None:
     lines = [
         "# What full, failing, slow and pulled disks do to a recording",
         "",
-        "A recorder with a link of 100 frames a second on ext4 over a disk with faults; the fault begins",
-        f"after 3 s and, where it ends, ends {FAULT_S:g} s later. Asked for: nothing lost that can be",
-        "written somewhere, nothing twice, nothing recorded before harmed, an alarm at once, bounded memory.",
-        "The slow disk has a second link of 1.5 MB/s. Logs are read after `acquire recover`, as they are",
-        "on the disk at the next start. A quota is not in this kernel: EDQUOT is raised by a layer in",
-        "`tests/acquire/recording/test_record_disks.py`.",
+        "A recorder with a link of 100 frames a second writes to ext4 on a disk with faults. A fault",
+        f"begins after 3 s; where it is temporary, it ends {FAULT_S:g} s later. Required: nothing lost",
+        "that can be written somewhere, nothing twice, no damage to what was recorded before, an immediate",
+        "alarm, bounded memory. The slow disk has a second link of 1.5 MB/s. Logs are read after",
+        "`acquire recover`, as they are on the disk at the next start. This kernel has no quotas: EDQUOT",
+        "is raised by a layer in `tests/acquire/recording/test_record_disks.py`.",
         "",
         COLUMNS,
         "|---|---|---|---|---|---|---|---|---|---|",
         *rows,
         "",
-        "Without a second folder nothing can be written to a disk that fails until the end: the loss is",
-        "named (exit code 8), and what was on the disk before stays. A stop waits for a slow disk.",
+        "Without a second folder, nothing can be written to a disk that fails until the end. The loss is",
+        "reported (exit code 8), and what was on the disk before remains. A stop waits for a slow disk.",
         "",
         "Made by `python -m tests.evidence.failing_media`.",
         "",

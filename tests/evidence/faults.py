@@ -167,8 +167,8 @@ def row(fault: SimulatedFault | None, flights: list[Processed]) -> str:
     count = len(flights)
     certified = [one.certificate for one in flights if one.certificate is not None]
     if fault is None:
-        cells = ["none", "", f"silent in {sum(not one.warnings for one in flights)} of {count}"]
-        cells.append(f"silent in {sum(not json_form for json_form, _ in certified)} of {len(certified)}")
+        cells = ["none", "", f"no cause in {sum(not one.warnings for one in flights)} of {count}"]
+        cells.append(f"no cause in {sum(not json_form for json_form, _ in certified)} of {len(certified)}")
     else:
         named = sum(name in one.warnings and f"{name}: " in one.shown for one in flights)
         written = sum(all(f"{name}: " in form for form in forms) for forms in certified)
@@ -197,20 +197,21 @@ def page(rows: list[str], sized: list[str]) -> list[str]:
         "",
         "Flights of `acquire/simulate/flights/survey.toml` with one fault each, from raw GNSS and",
         f"telemetry to the certificate; observations instead of pictures, {TIES} tie points. Named: the",
-        "code stands in the summary of `photocal run`, or before the error that ends it. Certified: of the",
+        "code is in the summary of `photocal run`, or before the error that ends it. Certified: of the",
         "certificates that were written, those that have the code in their JSON and on their page. Without",
-        "certificate: runs that ended with an error. Other causes: names that a person would follow as well,",
-        "in how many flights; consequences show only that something is wrong, and stand behind.",
+        "certificate: runs that ended with an error. Other causes: further causes that were named, with",
+        "the number of flights; a person would follow them up as well. Consequences: findings that only",
+        "show that something is wrong; they are listed after the causes.",
         "",
         "| fault | name | named | certified | without certificate | other causes | consequences |",
         "|---|---|---|---|---|---|---|",
         *rows,
         "",
-        "## From what size on",
+        "## Smallest size that is named",
         "",
         f"The same faults, larger and smaller, seed {SIZE_SEED}. Control points have sigmas of 8 mm in",
-        "plane and 12 mm in height, the lever arm 10 mm, the time offset 5 ms. As a rival: the flight cannot",
-        "tell it from the cause that is reported, and the text says so.",
+        "plane and 12 mm in height, the lever arm 10 mm, the time offset 5 ms. As a rival: the flight",
+        "cannot separate it from the cause that is reported, and the text says so.",
         "",
         "| fault | size | name | named | other causes | consequences |",
         "|---|---|---|---|---|---|",

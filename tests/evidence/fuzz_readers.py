@@ -70,12 +70,19 @@ MOST_FILES = 4
 # Of each reader so many files that fell are kept, to be looked at.
 MOST_KEPT = 3
 REPAIRED = (
-    "Found by earlier portions and repaired: OpenCV's own reader of calibrations wrote beyond its memory and",
-    "ended the program (they are read without it now); an archive whose compression asks for a dictionary of",
-    "a gigabyte; a Pix4D project with a word or a cut row in a matrix; rigs with vectors of other lengths;",
-    "rig assignments that are a number; a PhotoModeler export that ends after its photos; a RINEX file whose",
-    "antenna or epochs are no numbers of theirs; archives whose names are no text; a sensor width with two",
-    "points; a name of 300 letters; a rig whose prefix is a list, or whose rotation is none.",
+    "Found by earlier portions and repaired:",
+    "",
+    "- OpenCV's own reader of calibrations wrote beyond its memory and ended the program",
+    "  (such files are now read without it);",
+    "- an archive whose compression asks for a dictionary of a gigabyte;",
+    "- a Pix4D project with a word or a truncated row in a matrix;",
+    "- rigs with vectors of the wrong length, with a list as their prefix, or without a rotation;",
+    "- rig assignments that are a number;",
+    "- a PhotoModeler export that ends after its photos;",
+    "- a RINEX file whose antenna or epochs are not numbers;",
+    "- archives with names that are not text;",
+    "- a sensor width with two decimal points;",
+    "- a name of 300 letters.",
 )
 LENGTHS = (0, 1 << 31, (1 << 32) - 1, 1 << 20)
 WORDS = (
@@ -332,12 +339,12 @@ def write_page(tally: list[dict[str, Any]]) -> None:
     lines = [
         "# Damaged files through every reader",
         "",
-        f"{total:,} damaged files of the {ASKED:,} that are asked for (more portions add to them): bits",
-        "turned, bytes taken out, put in or doubled,",
-        "lengths changed, words that are no number, nesting without an end, lines lost. Each is read, or",
-        f"refused in words. Uncaught: {fallen.total()}. A reader may map {MEMORY / 1e9:.0f} GB more than the",
-        "program with its libraries (a wish for more would stand here as an uncaught error); most memory",
-        f"that the whole process ever held: {max(run['memory_mb'] for run in tally):.0f} MB.",
+        f"{total:,} damaged files; {ASKED:,} are required, further portions add to them. Damage: bits",
+        "flipped; bytes removed, inserted or doubled; lengths changed; words in place of numbers; endless",
+        "nesting; lines lost. Each file is read, or refused with a message. Uncaught errors:",
+        f"{fallen.total()}. A reader may map {MEMORY / 1e9:.0f} GB more than the program with its",
+        "libraries; a larger request would be listed here as an uncaught error. Peak memory of the whole",
+        f"process: {max(run['memory_mb'] for run in tally):.0f} MB.",
         "",
         "| files | readers | cases | refused | slowest |",
         "|---|---|---|---|---|",

@@ -72,7 +72,7 @@ def coverage(folder: Path) -> list[str]:
 def injected(folder: Path) -> list[str]:
     """Table of injected errors: how often found, named, and within three sigma."""
     lines = [
-        "| injected | flights | named alone | named among others | values within 3 sigma | named instead |",
+        "| injected | flights | named alone | named | values within 3 sigma | named instead |",
         "|---|---|---|---|---|---|",
     ]
     for name, errors, truth in CASES:
@@ -106,10 +106,11 @@ def main() -> None:
         lines = [
             "# Georeferencing: predicted and actual errors",
             "",
-            f"{SEEDS} synthetic flights (two heights, crossing strips, 9 control and 20 check points; image",
-            "0.4 px, positions 3 cm, attitudes 0.03 deg, control 15 mm, check points 10 mm), projected by",
-            "OpenCV. d is product minus reference at a check point, C its predicted covariance; a point is",
-            "rejected when its d' C^-1 d, summed over all flights, is too large or small for chi-squared.",
+            f"{SEEDS} synthetic flights, projected by OpenCV: two heights, crossing strips, 9 control and",
+            "20 check points. Sigmas: image 0.4 px, positions 3 cm, attitudes 0.03 deg, control 15 mm,",
+            "check points 10 mm. d is product minus reference at a check point, C its predicted",
+            "covariance. A point is rejected when its d' C^-1 d, summed over all flights, is too large or",
+            "too small for chi-squared.",
             "",
             *coverage(Path(folder)),
             "",

@@ -79,14 +79,15 @@ ANALYSED = "images|rays|adjustment (s)|a ray (us)|analysis (s)|ratio|by the cloc
 ADJUSTED = "images|points|rays|steps|minimum (s)|a ray (us)|covariance (s)|by the clock (s)|peak (GiB)"
 ANALYSES = """# Growth of adjustment and analysis with the block
 
-Made by `python -m tests.evidence.growth`. Seconds are of the processors, all of them together, but for those
-by the clock. The adjustment begins at start values that are off, and ends with the covariance of everything;
-the analysis begins at its result. `c-on-positions` is a note and no error: c of these flights follows a
-common error of the heights of their positions, as `false_alarms.md` shows of others by moving them.
+Made by `python -m tests.evidence.growth`. Times are processor seconds, summed over
+the cores, except those by the clock. The adjustment begins at approximate values and ends with the covariance
+of all unknowns; the analysis begins at its result. `c-on-positions` is a note, not an error: c of these
+flights depends on a common error of the heights of their positions. `false_alarms.md` shows this for other
+flights by moving the positions.
 """
 ADJUSTMENTS = """
-Large blocks: the minimum, also by the clock, then the covariance of cameras, poses and every point with the
-redundancy of every ray. Beside Ceres: `make bench`.
+Large blocks: time to the minimum, in processor seconds and by the clock; then that of the covariance of
+cameras, poses and every point, and of the redundancy of every ray. Compared with Ceres: `make bench`.
 """
 
 

@@ -70,12 +70,13 @@ def main(hundred: int = 20, large: int = 2) -> None:
     lines = [
         "# Positions in another height datum than control",
         "",
-        "Flights with positions stated 2, 2 and 5 cm (scatter 2, 2 and 4 cm) and 11 control points of 1 cm.",
-        "Error of c: root mean square in its own standard deviations, as adjusted and once what was found is",
-        "free. Said: the shift is named; or c is reported to depend on the height datum of the positions,",
-        "with its change by centimetre; or, without control, that all heights do.",
+        "Flights with positions whose stated sigmas are 2, 2 and 5 cm (actual scatter 2, 2 and 4 cm) and",
+        "11 control points of 1 cm. Error of c: root mean square in its own standard deviations, as",
+        "adjusted, and again after what was found has been released. Three outcomes are counted: the shift",
+        "is named; c is reported to depend on the height datum of the positions, with its change per",
+        "centimetre; without control, all heights are reported to depend on it.",
         "",
-        "| images | case | flights | c off | corrected | shift named | c depends on it | heights do |",
+        "| images | case | flights | error of c | corrected | shift named | c depends on it | heights do |",
         "|---|---|---|---|---|---|---|---|",
         *rows,
     ]

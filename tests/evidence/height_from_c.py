@@ -53,10 +53,13 @@ class Design:
 
 DOWN = strips(HEIGHT)
 DESIGNS = (
-    Design("straight down, one height", DOWN),
+    Design("nadir, one height", DOWN),
     Design("the same, four control points", DOWN, control=True),
-    Design("and cross strips at 1.4 times the height", np.vstack([DOWN, strips(1.4 * HEIGHT, across=True)])),
-    Design("and cross strips 30 degrees aside", np.vstack([DOWN, strips(HEIGHT, 30.0, across=True)])),
+    Design("with cross strips at 1.4 times the height", np.vstack([DOWN, strips(1.4 * HEIGHT, across=True)])),
+    Design(
+        "with cross strips tilted 30 degrees to the side",
+        np.vstack([DOWN, strips(HEIGHT, 30.0, across=True)]),
+    ),
 )
 
 
@@ -146,10 +149,10 @@ def page(simulations: int) -> str:
     text = (
         f"FC6310 (c 8.8 mm) at {HEIGHT:.0f} m, positions {GNSS_M[0]:.2f} and {GNSS_M[1]:.2f} m, image "
         f"{IMAGE_PX} px; {simulations} simulations of each. A held c that is wrong by {WRONG:.1%} moves "
-        f"heights by H dc/c = {rule:.3f} m where only positions and straight-down pictures are there; "
-        "`photocal plan` says it in metres for each micrometre of c. With c free, H times its relative "
-        "standard deviation, and the mean of the positions' errors, is what all heights share (less with "
-        "control)."
+        f"heights by H dc/c = {rule:.3f} m where a block has only positions and nadir pictures; "
+        "`photocal plan` states this in metres for each micrometre of c. With c free, all heights share an "
+        "error of H times the relative standard deviation of c, and the mean of the positions' errors (less "
+        "with control)."
     )
     free = "c free: sigma of c, %, predicted"
     heads = [

@@ -83,9 +83,9 @@ def rendered_lines(fields: list[tuple[Floats, int, int, float]]) -> list[str]:
     common = np.sqrt(np.mean([one[3] ** 2 for one in fields]))
     heads = [f"{k + 1}" for k in range(n)]
     return [
-        f"Then {n} fields in rendered pictures, each with its own places, noise and tapes: errors over their",
-        f"sigmas. True sigmas leave the rms of {n} between {low:.2f} and {high:.2f} and their mean within",
-        f"{1.96 / np.sqrt(n):.2f}, each in 95 of 100 cases.",
+        f"Then {n} fields in rendered pictures, each with its own target positions, noise and tape",
+        f"distances: errors divided by their sigmas. If the sigmas are true, the rms of {n} lies between",
+        f"{low:.2f} and {high:.2f} and their mean within {1.96 / np.sqrt(n):.2f}, each in 95 of 100 cases.",
         "",
         f"| rendered | {' | '.join(heads)} | mean | rms |",
         "|---" * (n + 3) + "|",
@@ -96,9 +96,9 @@ def rendered_lines(fields: list[tuple[Floats, int, int, float]]) -> list[str]:
         ),
         "",
         f"All: rms {np.sqrt(np.mean(errors**2)):.2f} sigma. {used} corners used, {rejected} rejected;",
-        f"common sigma of a corner {common:.4f} px. Corners beside each other share an edge, whose ends are",
-        "correlated by -0.5. They count as independent, which errs on the safe side: simulated readings so",
-        "correlated leave an rms of 0.7.",
+        f"common sigma of a corner {common:.4f} px. Neighbouring corners share an edge, whose ends are",
+        "correlated by -0.5. They are treated as independent, which errs on the safe side: simulated",
+        "readings with this correlation leave an rms of 0.7.",
     ]
 
 
@@ -119,8 +119,8 @@ def main(draws: int = DRAWS) -> None:
     lines = [
         "# Laboratory",
         "",
-        "Sixty targets without coordinates, four corners each, twenty pictures, three tapes of 0.5 mm, five",
-        f"readings of 0.3 px; {draws} draws. Coverage: of 95 %.",
+        "Sixty targets without coordinates, four corners each, twenty pictures, three tape distances of",
+        f"0.5 mm, five readings of 0.3 px; {draws} draws. Coverage: of the 95 % intervals.",
         "",
         "| parameter | coverage | largest error, sigma | rms, sigma |",
         "|---|---|---|---|",

@@ -45,16 +45,20 @@ folder = "images"
 
 def main() -> None:
     """Run the study and write its page."""
+    if len(sys.argv) < 2:
+        sys.stderr.write("live: not run, it needs a folder of pictures\n")
+        return
     sent = list_images(Path(sys.argv[1]))[:MOST]
     with tempfile.TemporaryDirectory() as name:
         figures = study(sent, Path(name))
     width, height = read_facts(sent[0]).size_px
     lines = [
-        "# The debrief in flight beside a recording",
+        "# The debrief in flight during a recording",
         "",
-        f"{len(sent)} pictures of {width} x {height} px came one every {EVERY_S:g} s into a folder that",
-        "`photocal debrief --live` followed, on two cores; `acquire record` took 100 frames of 196 bytes a",
-        "second on each of four links. The lag of a picture: from its coming to rest to its verdict.",
+        f"{len(sent)} pictures of {width} x {height} px arrived one every {EVERY_S:g} s in a folder that",
+        "`photocal debrief --live` followed, on two cores. At the same time `acquire record` took 100",
+        "frames of 196 bytes a second on each of four links. Lag of a picture: from the moment its file",
+        "stops growing to its verdict.",
         "",
         "| | |",
         "|---|---|",

@@ -108,9 +108,9 @@ def main(draws: int = DRAWS) -> None:
         "# One mistyped control point",
         "",
         "Flights with positions and attitudes, c, K1 and K2 estimated; one control point with a typing",
-        f"error: {', '.join(KINDS)}. Named: that point and no other.",
+        f"error: {', '.join(KINDS)}. Named: that point and no other. Identified: the kind of error, too.",
         "",
-        "| control points | draws | point named | asked, of 100 | slip told | missed |",
+        "| control points | draws | point named | required, of 100 | error identified | missed |",
         "|---|---|---|---|---|---|",
         *rows,
     ]

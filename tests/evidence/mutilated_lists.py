@@ -48,8 +48,8 @@ SYSTEMS = (
 )  # fmt: skip
 CELLS = ("nan", "inf", "1e400", "-1e300", "", "x", "1,5", "0", "99999999", "-3", "a0.jpg", "½", "P 1")
 FOLDERS = (
-    "as it should be", "a picture is gone", "a picture is cut", "a picture is empty",
-    "EXIF turns the pictures", "a table of nothing beside", "a second list",
+    "intact", "a picture is gone", "a picture is cut", "a picture is empty",
+    "EXIF rotates the pictures", "an unrelated table", "a second list",
     "a folder of the list's name", "no picture",
 )  # fmt: skip
 
@@ -176,14 +176,14 @@ def _folder(folder: Path, kind: str, rng: np.random.Generator) -> None:
         one.write_bytes(one.read_bytes()[: int(rng.integers(1, 900))])
     elif kind == "a picture is empty":
         one.write_bytes(b"")
-    elif kind == "EXIF turns the pictures":
+    elif kind == "EXIF rotates the pictures":
         from PIL import Image
 
         turned = Image.Exif()
         turned[0x0112] = int(rng.choice([3, 6, 8]))
         for name in PICTURES:
             Image.open(folder / name).save(folder / name, exif=turned)
-    elif kind == "a table of nothing beside":
+    elif kind == "an unrelated table":
         (folder / "control.txt").write_bytes(rng.bytes(400) if rng.random() < 0.5 else b"a,b\n1,2\n")
     elif kind == "a second list":
         _list(folder / "gcp_list_2.txt", rng)
@@ -284,12 +284,12 @@ def page(count: int, ended: Counter[tuple[str, str]], folders: Counter[str], bro
     lines = [
         "# Mutilated control lists",
         "",
-        f"Made by `python -m tests.evidence.mutilated_lists`: {count} lists, each with up to five accidents",
-        "in its rows (cells that are no number, cut and doubled rows, exchanged axes, pictures and points of",
-        "other names, decimal commas, marks of another size), in fourteen systems and three encodings, some",
-        "cut; in three of ten cases something happens to the folder, too.",
+        f"Made by `python -m tests.evidence.mutilated_lists`: {count} lists in fourteen coordinate systems",
+        "and three encodings. Each has up to five defects in its rows: cells that are not numbers, cut and",
+        "doubled rows, exchanged axes, other names of pictures and points, decimal commas, marks of",
+        "another image size. Some lists are cut off. In three of ten cases the folder has a defect, too.",
         "",
-        "Asked: no exception that nobody catches, a refusal in one line, and no row that is neither used nor",
+        "Required: no uncaught exception, a refusal in one line, and no row that is neither used nor",
         f"named, by `new` and by `run --until control`. Seen: {len(broken)} cases that break this.",
         "",
         "| new | run --until control | cases |",

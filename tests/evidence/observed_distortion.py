@@ -60,12 +60,12 @@ def row(at: DistortionAt, distortion: float) -> str:
 def main() -> None:
     """Run the study and write its page."""
     lines = [
-        "# Errors inside the polynomial",
+        "# Image errors inside the distortion polynomial",
         "",
         f"{FLIGHTS} flights of {IMAGES} images for each line, 1 px noise, `brown-observed`; distortion in",
-        "the corner as a share of the radius. Coverage of the 95 % intervals, of all and by parameter with",
-        "mean error in standard deviations; v'Pv over its degrees of freedom and its distance from 1 in",
-        "standard errors.",
+        "the corner as a share of the radius. Coverage of the 95 % intervals for all parameters together,",
+        "and for each with its mean error in standard deviations. v'Pv over its degrees of freedom, and",
+        "its distance from 1 in standard errors.",
         "",
         "| polynomial at | distortion | rays | v'Pv/dof | from 1 | coverage | by parameter, % (mean error) |",
         "|---|---|---|---|---|---|---|",

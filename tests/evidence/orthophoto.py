@@ -99,7 +99,7 @@ def main() -> None:
     plain = predicted_rms(Lens(20.0), replace(TAKEN, lens=Lens(20.4721)))
     nominal, focal = (predicted_rms(LENSES[name], TAKEN) for name in ("f 20", "f 20.4721"))
     lines = [
-        "# Orthophotos: what an interior orientation does",
+        "# Orthophotos: effect of the interior orientation",
         "",
         "The DCS460 study's photo, rendered with its calibrated camera over its 20 check points, oriented by",
         f"six control points for each interior orientation, and rectified with cells of {CELL} m.",
@@ -107,10 +107,10 @@ def main() -> None:
         *errors(),
         "",
         "The study found 5.43 m with the nominal and 2.39 m with the calibrated focal length: 3.05 m less.",
-        f"The focal length alone explains {abs(nominal - focal):.3f} m of that. Oriented by the same",
-        "control, height and focal length stand for each other over even ground: of a focal length that is",
-        f"0.47 mm wrong, in a camera without distortion, {plain:.3f} m remain. What is left with either",
-        "focal length is the distortion, and goes with it.",
+        f"The focal length alone explains {abs(nominal - focal):.3f} m of that. Both cases are oriented by",
+        "the same control. Over even ground the height then absorbs an error of the focal length: 0.47 mm,",
+        f"in a camera without distortion, leave {plain:.3f} m. What remains with either focal length is",
+        "caused by the distortion, and vanishes with its correction.",
         "",
         "## Memory",
         "",

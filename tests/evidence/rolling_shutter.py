@@ -89,10 +89,11 @@ def _goes_with(found: dict[Case, Any]) -> list[str]:
     ]
     inside, size = np.mean(np.abs(errors) < stats.norm.isf(0.025)), np.sqrt(np.nanmean(np.square(errors)))
     return [
-        "Without attitudes what images may depart from a steady flight goes with the readout, and so does",
-        "its standard deviation: both come out short together. Gusts therefore get room for three standard",
-        f"deviations of it: {100 * inside:.0f} % of {len(errors)} intervals of 95 % hold the readout, errors",
-        f"are {size:.2f} of their sigmas.",
+        "Without attitudes, the allowed departure of images from a steady flight grows with the readout,",
+        "and so does its standard deviation: both are then too small at the same time. Gusts are therefore",
+        "allowed for over the readout and three of its standard deviations, added in quadrature:",
+        f"{100 * inside:.0f} % of {len(errors)} intervals of 95 % contain the true readout, errors are",
+        f"{size:.2f} of their sigmas.",
     ]
 
 
@@ -102,7 +103,7 @@ def check_points(found: dict[Case, Any]) -> list[str]:
         "",
         "## Check points",
         "",
-        "Errors of points that carry no datum over their prediction, with the number of flights.",
+        "Errors of check points over their prediction, with the number of flights.",
         "",
         "| motion | 10 ms | 30 ms | 60 ms |",
         "|---|---|---|---|",
@@ -141,8 +142,8 @@ def vibrating(found: dict[Case, Any]) -> list[str]:
         "",
         "## Vibration within the readout",
         "",
-        f"Flights of 40 images each, 30 ms, {VIBRATION_DEG} deg at 20 to 60 Hz, {MARK_PX} px:",
-        "root mean square of errors over their standard deviations, of images that may shake and of",
+        f"Flights of 40 images each, 30 ms, {VIBRATION_DEG} deg at 20 to 60 Hz, {MARK_PX} px. Root mean",
+        "square of errors over their standard deviations, with images that may shake (modelled) and with",
         "steady ones.",
         "",
         "| motion | flights | images | v'Pv/dof | all | each |",
@@ -183,11 +184,13 @@ def main() -> None:
         "# Rolling shutter",
         "",
         f"Flights of {IMAGES} images, 1 px noise, 8 m/s, gusts 0.4 m/s and 3 deg/s.",
-        "Silent: a global shutter is not rejected at 5 %. Rolling: it is rejected at 0.1 % and the readout",
-        "estimated. Largest error of the first seven flights in standard deviations; coverage of 95 %.",
+        "Silent: a global shutter is not rejected at 5 %. Rolling: it is rejected at 0.1 %, and the",
+        "readout is estimated. Largest: the largest error in the first seven flights, in standard",
+        "deviations. Coverage: of the 95 % intervals.",
         "",
-        "Observed rates are drawn to what is expected of them, as a block takes them: along rates with",
-        "errors a readout comes out short by their share (0.6 % here, 0.5 standard deviations at 60 ms).",
+        "Angular rates with errors shorten the estimated readout by the share of these errors (0.6 % here,",
+        "0.5 standard deviations at 60 ms). Observed rates are therefore shrunk towards their expected",
+        "values, as in a block.",
         *_goes_with(found),
     ]
     for case, what in CASES.items():

@@ -110,18 +110,18 @@ def shared(name: str, seed: int) -> list[float]:
 def page(found: dict[Case, Any]) -> str:
     """Write the page."""
     lines = [
-        "# Rules of a check, measured",
+        "# Rules of the check, tested",
         "",
-        f"{len(found)} flights of a simulator of their own (`tests/independent`), judged by",
+        f"{len(found)} flights of an independent simulator (`tests/independent`), judged by",
         "`tests.evidence.single_points`.",
         "",
-        "## Misfits that single check points make",
+        "## Misfits caused by single check points",
         "",
-        "A misfit of the check points is grave, unless single points make it. Before: a tenth of the",
-        "points at most, and a mean of the others within 1.5. Now: those that stand out by Holm's test, a",
-        "third at most, and the others agree jointly, with their covariance, at 95 %.",
+        "A misfit of the check points is grave, unless single points cause it. Old rule: at most a tenth",
+        "of the points, and a mean of the others within 1.5. New rule: the points that stand out by Holm's",
+        "test, at most a third, when the others agree jointly, with their covariance, at 95 %.",
         "",
-        "| check points | wrong | by | misfits | laid at single points, before | now | right |",
+        "| check points | wrong | by | misfits | attributed to single points: old | new | correct |",
         "|---|---|---|---|---|---|---|",
     ]
     for n in CHECKED:
@@ -137,12 +137,13 @@ def page(found: dict[Case, Any]) -> str:
         "",
         "## Positions that share their errors",
         "",
-        "Named where the correlation of neighbours is significant (0.1 %, its variance one over the number",
-        "of products); doubtful where what they have in common is larger than independent errors as stated",
-        "would make it: size by residuals and redundancy, times the root of (1 + r) / (1 - r), above 1.1.",
-        "Before: the size of the residuals alone, which is smaller than that of the errors, and 1.5.",
+        "Named: the correlation r of neighbours is significant (0.1 %, with variance one over the number",
+        "of products). Doubtful: what the positions have in common is larger than independent errors of",
+        "the stated size would make it. This size is derived from residuals and redundancy, times the root",
+        "of (1 + r) / (1 - r); the limit is 1.1. Old rule: the size of the residuals alone, which is",
+        "smaller than that of the errors, with the limit 1.5.",
         "",
-        "| positions | flights | named | doubtful before | doubtful now | c: rms error, sigmas |",
+        "| positions | flights | named | doubtful, old rule | doubtful, new rule | c: rms error, sigmas |",
         "|---|---|---|---|---|---|",
     ]
     for name in MEMORIES:

@@ -104,16 +104,16 @@ def main(shared: Path) -> None:
     rows = [(name, PATCHES) for name in (*DICTIONARIES, "ChArUco board", *get_args(Kind))]
     least = ", ".join(f"{kind} {size:g}" for kind, size in SMALLEST_PX.items())
     text = [
-        "# Targets where there are none",
+        "# False detections of targets",
         "",
         "Made by `python -m tests.evidence.targets`.",
         "",
-        f"Patches of {SIDE} x {SIDE} px, {PATCHES} of {len({task.path for task in tasks})} recorded pictures",
-        "(a beach, a facade, a street, a church from the air), drawn twice; thresholds were set without",
-        "a look at the second draw. An uncoded target of a size that is drawn between the least",
-        f"that is read ({least} px) and {LARGEST:g} px is",
-        "searched for in the whole patch, as if the prediction were as unsure as that; in a project it must",
-        "also be the only one in the window of its point. Boards have 7 x 5 squares.",
+        f"Patches of {SIDE} x {SIDE} px, {PATCHES} of {len({task.path for task in tasks})} recorded",
+        "pictures without targets (a beach, a facade, a street, a church from the air), drawn twice.",
+        "Thresholds were set without looking at the second draw. An uncoded target is searched for in the",
+        "whole patch, as if its prediction were that uncertain. Its size is drawn between the smallest",
+        f"that is read ({least} px) and {LARGEST:g} px. In a project it must also be the only one in the",
+        "window of its point. Boards have 7 x 5 squares.",
         "",
         "| kind | patches of a draw | found in the first | in the second |",
         "|---|---|---|---|",

@@ -96,15 +96,19 @@ CASES = (
     Wrong("geocentric system", toml(CRS, 'crs = "EPSG:4978"'), "not a map system"),
     Wrong("unknown system", toml(CRS, 'crs = "EPSG:99999"'), "not a known coordinate system"),
     Wrong("system in feet", toml(CRS, 'crs = "EPSG:2225"'), "foot, not in metres"),
-    Wrong("next zone", toml(CRS, 'crs = "EPSG:31983"'), "is not the zone .* that is EPSG:31982"),
-    Wrong("zone of the north", toml(CRS, 'crs = "EPSG:32622"'), "is not the zone .* that is EPSG:32722"),
+    Wrong("neighbouring zone", toml(CRS, 'crs = "EPSG:31983"'), "is not the zone .* that is EPSG:31982"),
+    Wrong(
+        "zone of the northern hemisphere",
+        toml(CRS, 'crs = "EPSG:32622"'),
+        "is not the zone .* that is EPSG:32722",
+    ),
     Wrong("control in degrees, system in metres", control(degrees), "are in degrees"),
     Wrong("E and N exchanged", control(lambda r: [r[0], r[2], r[1], *r[3:]]), "E and N .* are exchanged"),
     Wrong("control in feet", control(scaled(1 / 0.3048, 1, 2, 3)), "the control points are in feet"),
     Wrong("control in millimetres", control(scaled(1000, 1, 2, 3)), "the control points are in millimetres"),
     Wrong("heights in feet", control(scaled(1 / 0.3048, 3)), "heights of the control points are in feet"),
     Wrong("heights all zero", control(scaled(0.0, 3)), "heights of all 4 control points are 0"),
-    Wrong("heights all alike", control(lambda r: [*r[:3], "912.0000", *r[4:]]), "are 912"),
+    Wrong("all heights equal", control(lambda r: [*r[:3], "912.0000", *r[4:]]), "are 912"),
     Wrong("heights with a wrong sign", control(scaled(-1, 3)), "wrong sign"),
     Wrong("base: latitude and longitude exchanged", toml(BASE, r"base_position = [\2, \1, \3]"), "exchanged"),
     Wrong(
@@ -129,7 +133,7 @@ CASES = (
     Wrong("other names in the table", control(lambda r: [r[0].lower(), *r[1:]]), "names the same"),
     Wrong("height kind without a system of heights", toml('"ellipsoidal"', '"orthometric"'), "EPSG:31982\\+"),
     Wrong("heights of another kind", control(moved(-4.1, 3)), "height-kind|antenna-height|height datum"),
-    Wrong("control 100 m beside", control(moved(100.0, 1)), "points lie all .100 m east"),
+    Wrong("control shifted by 100 m", control(moved(100.0, 1)), "points lie all .100 m east"),
 )
 
 
@@ -164,9 +168,9 @@ def main(site: Path | None) -> None:
     text = [
         "# Wrong projects",
         "",
-        "Made by `python -m tests.evidence.wrong_projects`: the practice project with one thing wrong.",
-        f"The last line of `photocal run` names the cause in **{named} of {len(rows)}**, no traceback;",
-        f"stages that were made before are kept in {sum(kept for *_, kept, _ in rows)}.",
+        "Made by `python -m tests.evidence.wrong_projects`: the practice project with one error. The last",
+        f"line of `photocal run` names the cause in **{named} of {len(rows)}**, without a traceback;",
+        f"stages made before are kept in {sum(kept for *_, kept, _ in rows)}.",
         "",
         "| wrong | named | last line |",
         "|---|---|---|",
