@@ -119,7 +119,7 @@ def read_block(path: str | Path) -> Block:
     InputNotFoundError
         When there is nothing of that name.
     InputMalformedError, ConfigurationError
-        When a file cannot be what it claims to be, with file and line.
+        When a file is malformed; the message gives file and line.
 
     Examples
     --------
@@ -133,7 +133,7 @@ def read_block(path: str | Path) -> Block:
 
 
 def write_block(path: str | Path, block: Block) -> None:
-    """Write a block folder; what `read_block` reads of it is equal, but for the fingerprints of its files.
+    """Write a block folder; `read_block` gives an equal block, except for the hashes of its files.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def write_block(path: str | Path, block: Block) -> None:
     Raises
     ------
     PhotocalError
-        When the folder cannot be written, or the block has what no block folder can hold.
+        When the folder cannot be written, or the block has data that a block folder cannot store.
 
     Examples
     --------
@@ -175,7 +175,7 @@ def read_cameras(path: str | Path) -> tuple[Camera, ...]:
     Raises
     ------
     PhotocalError
-        For a key or a value that cannot be, with file and camera.
+        For an unknown key or an invalid value; the message names file and camera.
 
     Examples
     --------
@@ -194,7 +194,7 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
     Parameters
     ----------
     path
-        File that takes the place of an older one, whole or not at all.
+        File to write; it replaces an older one only when it is complete.
     cameras
         Such as ``result.cameras.values()``; each has a name of its own.
 
@@ -228,15 +228,15 @@ def block_of_arrays(
     image_names: Sequence[str] = (),
     check: Sequence[str] = (),
 ) -> Block:
-    """Make a block of two arrays: where points are, and where images show them.
+    """Make a block from two arrays: object coordinates of points and their image coordinates.
 
     Parameters
     ----------
     object_points
         X, Y, Z of the points in a local frame, m, shape (n, 3); an array or a DataFrame.
     image_points
-        Column and row where each image shows each point, px, shape (m, n, 2); the centre of the upper-left
-        pixel is (0, 0); NaN where an image does not show a point.
+        Column and row of each point in each image, px, shape (m, n, 2); the centre of the upper-left pixel is
+        (0, 0); NaN where an image does not show a point.
     lens
         The camera; or the size of its images, width and height, px: then c, x0, y0, K1, K2, P1, P2 are
         estimated from a start value of c of 1.2 times the longer side.
@@ -255,12 +255,12 @@ def block_of_arrays(
     Returns
     -------
     Block
-        To be adjusted; orientations of the images are found by the adjustment.
+        To be adjusted; the adjustment finds the orientations of the images.
 
     Raises
     ------
     ConfigurationError
-        When the shapes of the arrays do not belong together.
+        When the shapes of the arrays do not match.
 
     Examples
     --------
@@ -308,7 +308,7 @@ def with_relations(
     Parameters
     ----------
     block
-        Block to add to; it stays as it is.
+        Block to add to; it is not changed.
     kind
         "distance", "height_difference", "azimuth", "vertical_angle", "horizontal_angle" (at, from, to),
         "line" (from, to, and a point of it, which deviates by the value 0), or a kind of your own.
@@ -471,21 +471,21 @@ def run_project(
     project
         `project.toml`, or the folder that has it.
     until
-        Last stage to be made; all where not given.
+        Last stage to run; all where not given.
     again
-        Stage to be made although nothing has changed.
+        Stage to run again although nothing has changed.
     rehash
         Hash all files again, even if their sizes and times are unchanged.
 
     Returns
     -------
     tuple of StageResult
-        Each stage with what was made of it.
+        The result of each stage.
 
     Raises
     ------
     PhotocalError
-        As the first stage that fails does; what does not need that stage is made nevertheless.
+        The error of the first stage that fails; stages that do not need it are still run.
 
     Examples
     --------
@@ -522,7 +522,8 @@ def read_result(folder: str | Path) -> Result:
     InputNotFoundError
         When the folder or one of its files is missing or empty.
     InputMalformedError
-        When a file is of another schema, cut, not a number where one must stand, or contradicts another.
+        When a file has another schema, is truncated, has a text in place of a number, or contradicts another
+        file.
 
     Examples
     --------
@@ -536,12 +537,12 @@ def read_result(folder: str | Path) -> Result:
 
 
 def write_result(folder: str | Path, result: Result) -> None:
-    """Write `result.json` and the tables beside it.
+    """Write `result.json` and its tables.
 
     Parameters
     ----------
     folder
-        Folder to write, whole or not at all; it is made where it is missing.
+        Folder to write, made where it is missing; an interrupted write leaves no incomplete result.
     result
         The result of an adjustment.
 

@@ -166,7 +166,7 @@ def compare(calibrations: Sequence[Camera | str | Path]) -> Compared:
     ConfigurationError
         When there is only one calibration, an id occurs twice, or formats differ.
     InputNotFoundError, InputMalformedError
-        When a path holds no calibration.
+        When a path has no calibration.
 
     Examples
     --------
@@ -213,7 +213,7 @@ def check(block: Block, *, standards: Sequence[str] = (), scale: float | None = 
     Raises
     ------
     IllPosedError
-        When no method can be computed; the message has what was found in the ground points.
+        When no method can be computed; the message lists the findings at the ground points.
     InputNotFoundError
         For an unknown standard.
 
@@ -253,7 +253,7 @@ def assess(
     Raises
     ------
     ConfigurationError
-        For a scale, interval or accuracy that cannot be, or a table without these columns.
+        For an invalid scale, interval or accuracy, or a table without these columns.
     InputNotFoundError, InputMalformedError
         For a file that cannot be read.
 

@@ -100,7 +100,7 @@ def _sentence(result: "Imported") -> str:
 
 
 def info(log: Log, types: Types = False, as_json: AsJson = False) -> None:
-    """Say whether a flight log is complete and can be processed; show its links, gaps, fixes and clocks.
+    """Report whether a flight log is complete and can be processed; show its links, gaps, fixes and clocks.
 
     Example: `acquire info flight.mcap`
     """

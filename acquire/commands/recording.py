@@ -26,8 +26,8 @@ def check(
 ) -> None:
     """Check ports, heartbeats, fix, rates, disk space and clock before a flight.
 
-    The rates asked for are requested by `acquire record`; here they are only seen. Ends with 10 when
-    something is not as it should be.
+    `acquire record` requests the message rates; this command only measures them. The exit code is 10 when a
+    check fails.
 
     Example: `acquire check flight.toml`
     """
@@ -140,7 +140,7 @@ def monitor(
 ) -> None:
     """Show fix, satellites, corrections, rates, pictures, disk, clock and alarms of a recording live.
 
-    It reads the log as it grows: it needs nothing of the recorder and cannot disturb it.
+    It reads the log while it grows, and cannot disturb the recorder.
 
     Example: `acquire monitor flight.toml --page`
     """

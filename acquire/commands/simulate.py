@@ -133,7 +133,7 @@ def serve(
 ) -> None:
     """Play a simulated flight on real ports: the vehicle by UDP, receivers on pseudo terminals.
 
-    The flight begins when `acquire record` has spoken to the devices.
+    The flight begins when `acquire record` has connected to the devices.
 
     Example: `acquire simulate serve flight --speed 10`, beside it `acquire record flight/site/record.toml`
 

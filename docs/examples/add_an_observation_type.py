@@ -1,4 +1,4 @@
-"""A network without control, and what observations do to it: a scale bar, and a type of one's own."""
+"""A free network, and the effect of additional observations: a scale bar, and a type of your own."""
 
 import numpy as np
 

@@ -1,10 +1,10 @@
-"""Calibrate a camera from two arrays: where points are (m), and where images show them (px)."""
+"""Calibrate a camera from two arrays: object coordinates (m) and image coordinates (px)."""
 
 import numpy as np
 
 import photocal
 
-# Arrays as a calibration field gives them; here 60 points and 8 images are simulated, with noise of 0.3 px.
+# Arrays as from a calibration field; here 60 points and 8 images are simulated, with noise of 0.3 px.
 rng = np.random.default_rng(1)
 points = rng.uniform([-2, -2, 0], [2, 2, 1], (60, 3))
 true = photocal.camera(

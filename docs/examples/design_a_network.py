@@ -1,7 +1,7 @@
-"""How well four ways to photograph a test field determine a camera, before anybody takes a picture.
+"""Precision of a camera from four ways to photograph a test field, before a picture is taken.
 
 The covariance of an adjustment depends on its geometry and on the standard deviations of the observations,
-not on their values: observations without errors give what real ones will reach.
+not on their values: observations without errors give the precision that real ones will reach.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Whether the precision that a plan promises is what flights of it would show: twenty simulated ones."""
+"""Compare the predicted precision of a planned flight with the errors of twenty simulated ones."""
 
 import numpy as np
 
@@ -16,5 +16,5 @@ plan = photocal.plan(
 )
 
 errors = photocal.simulate_flights(plan, 20, seed=5)
-print("promised, X Y Z, mm:", np.round(1e3 * errors.promised_m, 1))
+print("predicted, X Y Z, mm:", np.round(1e3 * errors.promised_m, 1))
 print("found in twenty flights:", np.round(1e3 * errors.found_m, 1))

@@ -74,14 +74,14 @@ class TableResult:
 
 @dataclass(frozen=True)
 class Assessment:
-    """Everything that is said about a product at its check points.
+    """The assessment of a product at its check points.
 
     Attributes
     ----------
     discrepancies
         Product minus reference, m; no points where only their moments are known.
     question
-        What it was judged for.
+        Standards, scale and confidence that were asked for.
     components
         Statistics and tests of E, N and h, those that were measured.
     plane, height, space

@@ -43,7 +43,7 @@ class Discrepancies:
     positions_m : array, shape (n, 3)
         E, N, h of the points, m, for maps; NaN where not given.
     vegetated : array, shape (n,)
-        Which points lie in vegetated ground; None where nobody said, then none does.
+        Which points lie in vegetated ground; None where it is not stated, which counts as none.
     """
 
     points: tuple[str, ...]

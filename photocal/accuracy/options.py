@@ -37,7 +37,7 @@ class JudgementOptions(Options):
     ] = None
 
     def question(self) -> "Question":
-        """Give what is asked; raises ConfigurationError for a scale that is none."""
+        """Give the question; raises ConfigurationError for an invalid scale."""
         from photocal.accuracy.standard import Question, parse_scale
 
         return Question(
@@ -65,9 +65,7 @@ class MapOptions(Options):
     figures: Annotated[
         Path | None, Option("With --discrepancies: folder for residual map and histograms (PDF).")
     ] = None
-    geopackage: Annotated[
-        Path | None, Option("With --discrepancies: GeoPackage for QGIS, to be written.")
-    ] = None
+    geopackage: Annotated[Path | None, Option("With --discrepancies: GeoPackage to write, for QGIS.")] = None
     crs: Annotated[
         str | None, Option("Projected system of E and N for the GeoPackage, such as EPSG:31982.")
     ] = None

@@ -238,12 +238,12 @@ class RemovalStep:
 
 @dataclass(frozen=True)
 class Proposal:
-    """What the removal rule ends with.
+    """Result of the removal rule.
 
     Attributes
     ----------
     recommended
-        Those of the removed that are worth leaving out: not needed, or of unknown significance.
+        Removed parameters that should be left out: not needed, or of unknown significance.
     """
 
     steps: tuple[RemovalStep, ...]

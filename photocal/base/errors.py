@@ -14,12 +14,10 @@ _WRITING = {*_NO_ROOM, errno.EROFS}
 
 
 class PhotocalError(Exception):
-    """A failure that a person can act on: what happened, where, and what to do.
+    """A failure with its place and a remedy.
 
-    what: what happened, in the user's words, without a final full stop.
-    remedy: what to do about it.
-    where: file, line, image or point that is concerned.
-    details: figures for those who want to know more, a line each.
+    what: what happened, in the user's words, without a final full stop. remedy: what to do about it. where:
+    file, line, image or point that is concerned. details: additional figures, a line each.
     """
 
     exit_code = 1
@@ -65,7 +63,7 @@ def reading(path: object, remedy: str = "check name and rights") -> Iterator[Non
 
 
 class InputMalformedError(PhotocalError):
-    """A file was read but its content cannot be what it claims to be."""
+    """A file was read, but its content is not valid."""
 
     exit_code = 4
 

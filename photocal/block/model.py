@@ -67,7 +67,7 @@ class Images:
     temperature : array, shape (n,)
         Of the camera or the air at the exposure, degrees Celsius; NaN where it is not known.
     exposure
-        What the images of several cameras on one frame have in common; empty for an image by itself.
+        Key that the images of several cameras on one frame share; empty for a single image.
     """
 
     names: tuple[str, ...]
@@ -238,13 +238,13 @@ class Block:
     height
         Kind of the heights.
     datum_points
-        Points over which a free datum is taken; empty for all.
+        Points that define a free datum; empty for all.
     relations
         Distances and height differences between points, by their index.
     positions, attitudes, mounting
         Observations of a GNSS antenna and an inertial unit, and how they are mounted.
     fiducial_fits
-        Where the observations were given as readings.
+        How the fiducial marks fit, where the observations were given as readings.
     repetition
         How repeated readings agree, where the block has them.
     check_distances
@@ -256,9 +256,9 @@ class Block:
     global_test
         Its level and its kind.
     refraction
-        Coefficient of the rays' bending in the atmosphere; None where it is not modelled.
+        Coefficient of atmospheric refraction; None where it is not modelled.
     curvature
-        Whether local coordinates are plane, with heights above a curved earth.
+        Whether local coordinates are plane, with heights above the curved earth.
     """
 
     name: str
@@ -295,7 +295,7 @@ class Block:
         import_module(_WRITER).write_block(Path(path), self)
 
     def of_points(self, kept: Flags) -> "Block":
-        """Keep some points, with what is measured of them and between them."""
+        """Keep some points, with the observations of them and between them."""
         place, seen = np.cumsum(kept) - 1, self.observations.rows(kept[self.observations.point])
         relations, checks = (
             part.moved(place).rows(np.append(kept, True)[part.ends].all(axis=1)) if len(part.kind) else part

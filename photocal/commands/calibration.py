@@ -34,7 +34,7 @@ def adjust(
         Path,
         argument(
             "Block folder (block.toml, images.csv, points.csv, observations.csv), or a set-up file of "
-            "another program (DBAT, JAICOV)."
+            "another program (docs/exchange.md lists them)."
         ),
     ],
     output: Annotated[Path, option("Folder for the results.", "-o", "--output")],
@@ -112,16 +112,16 @@ def analyse(
 ) -> None:
     """Analyse a calibration: a verdict, hidden errors worst first, significance, correlations, method.
 
-    The block of the run is adjusted again, with one change at a time. It is looked for where the run
-    says, beside the run and below the current folder, and recognised by its hashes. The answer is also
-    written as analysis.json into the run, from where `photocal certificate` takes it.
+    The block of the run is adjusted again, with one change at a time. It is searched for at its recorded
+    place, next to the run and below the current folder, and recognised by its hashes. The result is also
+    written into the run as analysis.json, which `photocal certificate` reads.
 
-    Of a block folder, or with --block where the run has no result, the verdict alone is said: it names the
-    control with which no adjustment ends.
+    For a block folder, or with --block for a run without a result, only the verdict is given: it names the
+    control points with which the adjustment does not converge.
 
     A CSV with the columns parameter, value and std_dev (perhaps set), as publications and other programs
-    print them, is tested as it stands; with its correlations or covariance (--matrix), or of such a matrix
-    alone, strong correlations and principal components follow, too.
+    print them, is tested directly. With its correlations or covariance (--matrix), or for such a matrix
+    alone, strong correlations and principal components are given, too.
 
     Example: `photocal adjust my-block -o run && photocal analyse run`, or
     `photocal analyse iop.csv --matrix correlations.csv --degrees-of-freedom 2470`
@@ -216,7 +216,9 @@ def forms(
     plan: Annotated[
         Path | None, option("plan.geojson of `photocal plan`: a station sheet for each of its points.")
     ] = None,
-    stations: Annotated[int, option("Places of the camera before a test field.", min=1, max=20)] = 3,
+    stations: Annotated[
+        int, option("Number of camera stations in front of a test field.", min=1, max=20)
+    ] = 3,
     language: Language = "",
     as_json: Annotated[bool, option("Print what was written as JSON.", "--json")] = False,
 ) -> None:

@@ -359,7 +359,7 @@ def rover_test(
     language: Language = "",
     as_json: AsJson = False,
 ) -> None:
-    """Test a GNSS rover (RTK) in the field after ISO 17123-8, simplified or full.
+    """Test a GNSS rover (RTK) in the field by ISO 17123-8, simplified or full.
 
     One series of five sets makes the simplified test, three series the full one: standard deviations in plane
     and height, compared with the stated ones (chi-squared) and an earlier test (F). `photocal forms --kinds

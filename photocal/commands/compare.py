@@ -29,7 +29,10 @@ def compare(
     ] = None,
     exchange: Annotated[
         bool,
-        option("Use camera and mounting of each flight in each other, at its check points.", "--exchange"),
+        option(
+            "Apply camera and mounting of each flight to every other one; test at its check points.",
+            "--exchange",
+        ),
     ] = False,
     language: Language = "",
     as_json: AsJson = False,
@@ -42,14 +45,16 @@ def compare(
     (height_m, relief_m), terrains_each and seed. [[published]] gives printed figures to follow: method,
     definition, tolerance_px, values = [[first, second, px], ...].
 
-    Last, one test whether two calibrations are equal as parameter vectors, d' (S1 + S2)^-1 d with their whole
-    covariances, against chi-squared; beside it the same of what the difference does in the image when the
-    exterior orientation may turn the bundle back: a difference of parameters that no picture shows is none.
-    From three on both are asked of all together, about their mean. --json has it as `joint`.
+    At the end, two calibrations are tested for equality as parameter vectors, d' (S1 + S2)^-1 d with their
+    full covariances, against chi-squared. The same test is made for the effect of the difference in the
+    image, after the exterior orientation has absorbed what it can. Differences without effect in the image
+    do not count. From three calibrations on, both tests are also made for all together, about their mean.
+    --json has them as `joint`.
 
     Certificates, runs and projects give their calibrations with all sigmas and correlations, in the order of
     time: stability of one camera over several flights. From three on, the variance between flights and the
-    uncertainty of a future use follow; certificates that state temperatures, c against temperature and time.
+    uncertainty of a future use are given; for certificates with temperatures also c against temperature and
+    time.
 
     Example: `photocal compare configs/studies/canon-elph/calibrations.toml --picture pairs.png`, or
     `photocal compare MAY.toml JUNE.toml --exchange`

@@ -38,7 +38,7 @@ def doctor(
     """Check whether this machine is ready to record and to process.
 
     Python, packages, kernels, PPK engine, browser, serial ports, clock, disk, memory, grids, leap seconds and
-    key have one line each: ok, warning (something will be slow or missing) or error, with what helps.
+    key have one line each: ok, warning (something will be slow or missing) or error, with the remedy.
 
     Example: `photocal doctor`
     """

@@ -22,11 +22,11 @@ def mark(
     ] = None,
     images: Annotated[Path | None, option("Folder with the images, without a project.")] = None,
     points: Annotated[
-        Path | None, option("points.csv; without it, beside --images, any name may be marked.")
+        Path | None, option("points.csv; with --images and without it, any name may be marked.")
     ] = None,
-    output: Annotated[Path | None, option("marks.csv to write, beside --images.", "-o", "--output")] = None,
+    output: Annotated[Path | None, option("marks.csv to write, with --images.", "-o", "--output")] = None,
     run: Annotated[
-        Path | None, option("Folder of an adjustment that says how the images are oriented.")
+        Path | None, option("Folder of an adjustment that has the orientations of the images.")
     ] = None,
     address: Address = "127.0.0.1:8750",
     cache: Annotated[Path | None, option("Folder for tiles; ~/.cache/photocal when not given.")] = None,
@@ -35,7 +35,7 @@ def mark(
 ) -> None:
     """Mark control and check points in the images on a local web page; every mark is saved at once.
 
-    With --json what is marked is printed, and no page is shown.
+    With --json the marks are printed, and no page is opened.
 
     Example: `photocal mark PROJECT.toml`; without a project
     `photocal mark --images photos --points points.csv -o marks.csv`.

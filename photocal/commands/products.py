@@ -26,10 +26,10 @@ def ortho(
 ) -> None:
     """Make an orthophoto: every cell takes its grey value from the image that sees it best from above.
 
-    Occlusions are not modelled: houses that are missing from the terrain model lean. Seams run where the
-    next image looks straighter down, and grey values stay those of the images. For blended seams and balanced
-    colours hand over the orientations, `photocal export RUN --format metashape -o DIR`: in Metashape import
-    the cameras, then "Calibrate Colors" and "Build Orthomosaic" with mosaic blending.
+    Occlusions are not modelled: houses that are missing from the terrain model lean. Seams run where the next
+    image is closer to nadir, and grey values are not changed. For blended seams and balanced colours export
+    the orientations, `photocal export RUN --format metashape -o DIR`: in Metashape import the cameras, then
+    "Calibrate Colors" and "Build Orthomosaic" with mosaic blending.
 
     Example: `photocal ortho block --run run --images photos --dtm dtm.tif --cell 0.1 -o ortho.tif`
     """
@@ -55,8 +55,8 @@ def contours(
     """Write the contours of a terrain model for CAD (DXF) or GIS (Shapefile, GeoPackage).
 
     Vertices have the height as Z. Shapefile and GeoPackage have the columns `height`, `index` (1 for an index
-    contour) and `kind` (of the heights), and the reference system. A DXF has its index contours on a layer of
-    their own, is in metres, and has its reference system in a .prj beside it.
+    contour) and `kind` (of the heights), and the reference system. A DXF is in metres, with index contours on
+    a layer of their own and the reference system in a .prj file.
 
     Example: `photocal contours dtm.tif --interval 0.5 -o contours.dxf`
     """
@@ -81,7 +81,7 @@ def volume(
     language: Language = "",
     as_json: AsJson = False,
 ) -> None:
-    """Volume of a tank, round or of any closed shape, with its standard deviation.
+    """Compute the volume of a tank, round or of any closed shape, with its standard deviation.
 
     A circle is fitted to every section with the covariance of its points, a cylinder to all of them.
 

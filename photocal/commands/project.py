@@ -34,7 +34,7 @@ def new(
     height: Annotated[str, option("Height kind of the control points: ellipsoidal or orthometric.")] = "",
     marks: Annotated[
         str,
-        option("Size (1/2), turn (exif, 90) or axes (bottom, swapped) of the marked pictures; or fraction."),
+        option("Size (1/2), rotation (exif, 90) or axes (bottom, swapped) of the marks; or fraction."),
     ] = "",
     again: Annotated[
         bool, option("Keep the answers and comments of project.toml and add new findings.", "--again")
@@ -117,7 +117,7 @@ def run(
     A flight log is optional: pictures alone, or with control points or positions, are enough.
 
     Each stage has its folder in the project's work folder and is kept while neither its inputs nor the code
-    that it runs change. Files of yours in these folders stay, and are named. The project file is described in
+    that it runs change. Your own files in these folders are kept and listed. The project file is described in
     docs/project-file.md.
 
     Example: `photocal run PROJECT.toml`
@@ -158,8 +158,8 @@ def debrief(
     reduced pictures. Run it again while pictures come in: finished checks are kept. The answer is also
     written as debrief.json into the project's work folder: `acquire monitor --page --debrief` shows it.
 
-    With --live it follows the folder that a tethered camera or a picture link writes into, by the positions
-    that pictures state, and leaves the log to the recorder.
+    With --live it watches the folder that a tethered camera or a picture link writes to. It then uses the
+    positions stated in the pictures and does not read the flight log.
 
     Example: `photocal debrief project.toml --since last/calibration`
     """
@@ -203,7 +203,7 @@ def desk(
     cache: Annotated[Path | None, option("Folder for tiles; ~/.cache/photocal when not given.")] = None,
     language: Language = "",
     as_json: Annotated[
-        bool, option("Print how the steps stand as JSON, and show no window.", "--json")
+        bool, option("Print the state of the steps as JSON, and open no window.", "--json")
     ] = False,
 ) -> None:
     """Open a window on a folder: choose, check, run, look, certify, on a local web page.

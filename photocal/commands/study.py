@@ -22,7 +22,7 @@ def study(
     """Repeat a published study: copy its files, run its commands, compare with the printed results.
 
     The folder then holds the inputs, the printed tables, study.toml with the commands, and results/: the
-    answer of each command, and compared.csv with every printed figure beside ours.
+    answer of each command, and compared.csv with every printed figure and ours.
 
     Example: `photocal study ixus220 -o ixus220`
     """

@@ -37,8 +37,8 @@ def keys(
 ) -> None:
     """Show the known keys by their fingerprints, make one, or list the journal of issued certificates.
 
-    With a key, certificates print its fingerprint; publish it where your clients look. Its files lie in your
-    folder of settings, closed to others: keep a copy of them apart.
+    Certificates print the fingerprint of your key; publish it where your clients can find it. The files of
+    the key are in your settings folder, readable by you alone: keep a backup elsewhere.
 
     Example: `photocal keys --new "Laboratory for photogrammetry"`
     """
@@ -101,8 +101,8 @@ def sign(
 ) -> None:
     """Sign a certificate with the key of `photocal keys`: every file of its folder.
 
-    The signature, `signature.json` beside them, is noted in a journal whose entries depend on each other.
-    With a time stamp (`signature.tsr`) an independent authority says that it existed then.
+    The signature, `signature.json` in the same folder, is recorded in a journal whose entries are linked by
+    their hashes. With a time stamp (`signature.tsr`) an independent authority confirms when it existed.
 
     Example: `photocal sign certificate`
     """
@@ -143,7 +143,7 @@ def verify(
     ],
     block: Annotated[
         Path | None,
-        option("Block folder with the inputs; that carried by the certificate, or near it, if not given."),
+        option("Block folder with the inputs; without: that in the certificate, or near it."),
     ] = None,
     keys: Annotated[
         Path | None, option("List of keys, `FINGERPRINT [LAST DAY] NAME` each: one of them must have signed.")
@@ -152,7 +152,8 @@ def verify(
         bool, option("Trust this key from now on, after you have compared its fingerprint.", "--trust")
     ] = False,
     revoked: Annotated[
-        Path | None, option("List of revoked keys, `FINGERPRINT YYYY-MM-DD REASON` each, beside your own.")
+        Path | None,
+        option("List of revoked keys, `FINGERPRINT YYYY-MM-DD REASON` each, in addition to your own."),
     ] = None,
     authorities: Annotated[
         Path | None, option("Root certificates (PEM) of the time stamping authorities that you trust.")
@@ -165,9 +166,9 @@ def verify(
 ) -> None:
     """Repeat a certificate from its inputs, compare every figure and page, and judge its signature.
 
-    Reproducible and authentic are two answers: anybody can make a certificate that can be repeated; only the
-    issuer's key can sign it. The verdict is judged anew; what no repetition can tell is listed as taken from
-    the issuer.
+    Reproducible and authentic are judged separately: anybody can make a certificate that can be repeated;
+    only the issuer's key can sign it. The verdict is derived again; statements that cannot be repeated are
+    listed as taken from the issuer.
 
     Exit code 0: reproducible, and signed by a known key. 11: reproducible, not signed. 12: reproducible, and
     signed by a key that is not known here or has expired. 4: not as it was issued, or the key was revoked.

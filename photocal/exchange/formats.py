@@ -8,67 +8,68 @@ the table filled in, is docs/exchange.md (`python -m photocal.exchange.formats`)
 
 Made by `python -m photocal.exchange.formats > docs/exchange.md`; `photocal export RUN --format NAME -o DIR`
 writes them. Here the centre of the upper-left pixel is (0, 0), x runs right, y down; camera axes are x
-right, y up, z backwards. Only the room `exchange` converts half pixels and signs.
+right, y up, z backwards. Only the package `photocal.exchange` converts half pixels and signs.
 
 "brown-ideal": the distortion is added to the projection; "brown-observed": it corrects the measurement.
 Between formats of one direction nothing is lost. Between the two, a fit over the whole image replaces the
-polynomial, and the command prints its rms and largest residual in px. "none": the file cannot hold a
+polynomial, and the command prints its rms and largest residual in px. "none": the file cannot store a
 distortion.
 
-A block in a coordinate reference system goes to Cartesian formats in the topocentric frame (east, north,
-up) at its middle, where it was adjusted, so that reprojection residuals stay what they are; tables of
+A block in a coordinate reference system goes to Cartesian formats in the topocentric frame (east, north, up)
+at its middle, where it was adjusted, so that residuals of image coordinates do not change; tables of
 orientations and ODM's lists keep map coordinates and angles.
 
-These formats have one pose for all lines of an image. Observations of a rolling shutter are therefore
-corrected to the pose of the middle line, and the command says so.
+These formats have one exterior orientation for all lines of an image. Observations of a rolling shutter are
+therefore corrected to the orientation of the middle line, and the command reports it.
 
 | name | format | holds | object space | pixel (0, 0) | camera axes | distortion | units | read |
 | --- | --- | --- | --- | --- | --- | --- | --- | --- |
 {table}
 
 `photocal adjust` reads the files of the formats marked "adjust" directly, and projects of PhotoScan and
-Metashape (.psz, .psx); where a format has no standard deviations of image coordinates, all of
-them get 1 px, and the a posteriori variance factor says what they are worth.
-"yes": read by the package; a .cam file needs the image size
-beside it, GCP lists go to `photocal measure --gcp`. Of PhotoModeler its tables of 2-D and 3-D points are
-read too.
+Metashape (.psz, .psx); where a format has no standard deviations of image coordinates, all of them get 1 px,
+and the a posteriori variance factor shows their actual precision. "yes": read by functions of
+`photocal.exchange`; a .cam file needs the image size as well, and GCP lists are read by `photocal measure
+--gcp`. PhotoModeler's tables of 2-D and 3-D points are read, too.
 
-`photocal adopt` sets quality reports beside its own figures, where they lie with a project: those of ODM
-(`report.pdf`, `stats.json`) and MicMac (Tapas, GCPBascule and Campari, kept as `campari.log`) were read from
-real ones, COLMAP's (`model_analyzer.txt`) by its program text; of Pix4D (XML, HTML, PDF) and Metashape (PDF)
-no real report was at hand: their tables are read by the heads that published readers name, and what is not
-recognised is left out. Of Pix4D's other files `tp_orima.txt`, `tp_pix4d.txt` and the rig parameters are not
-read: they repeat what the others hold, and no description of their columns was at hand.
+`photocal adopt` compares its figures with the quality report of a project, if there is one. The readers for
+ODM (`report.pdf`, `stats.json`) and MicMac (Tapas, GCPBascule and Campari, kept as `campari.log`) were tested
+with real reports, that for COLMAP (`model_analyzer.txt`) was written from its source code. No real report of
+Pix4D (XML, HTML, PDF) or Metashape (PDF) was available: their tables are read by the column names that
+published readers use, and unknown parts are left out. Of Pix4D's other files, `tp_orima.txt`, `tp_pix4d.txt`
+and the rig parameters are not read: they repeat other files, and no description of their columns was
+available.
 
-What a format wants and an adjustment does not know is filled in: OPF gets 1970-01-01 as time of exposure
-and 8-bit colour images; standard deviations that are not known are written as 0. Control points carry the
-standard deviations of the adjusted coordinates.
+Values that a format requires but an adjustment does not have are filled in: OPF gets 1970-01-01 as time of
+exposure and 8-bit colour images; standard deviations that are not known are written as 0. Control points have
+the standard deviations of the adjusted coordinates.
 
-## Projects that `photocal adopt` adjusts anew
+## Projects that `photocal adopt` adjusts again
 
 - **Pix4D**: `params` with cameras, `_error`, `offset.xyz`, `tp_bingo`, control and `wkt.prj`; rigs by their
   poses. Weights of exactly 1 are manual tie points; check points are those of the report
   (`report/NAME_report`, XML, HTML, text or PDF).
-- **Metashape**: projects, camera XML with markers and references. References that are off are check points,
-  and so are those that its processing report (PDF, text) calls so.
+- **Metashape**: projects, camera XML with markers and references. Markers whose reference is switched off are
+check points, and so are those that the processing report (PDF, text) lists as such.
 - **ODM, OpenSfM**: `reconstruction.json` with tracks and rigs. Names of `gcp_list.txt` that begin with check
   or chk, and points of the role `metrics_only`, are check points. Reports: `stats.json`, `report.pdf`.
 - **COLMAP**: text and binary models, rigs and frames, `gcp_list.txt`. Report: what model_analyzer prints.
 - **MicMac**: `Ori-*`, points and measures; `Check-Pts3D.xml` has check points. Report: what Campari prints.
 
-Of a report `adopt` takes the names of check points, sigmas of the camera, and the figures that it sets beside
-ours. It is looked for in the folder of the project and in `report` or `odm_report` beside it.
+From a report `adopt` reads the names of check points, sigmas of the camera, and the figures to compare. It is
+searched for in the folder of the project and in `report` or `odm_report` next to it.
 
-Coordinates of a map go through its system: `wkt.prj` of Pix4D, the reference of Metashape, the first line of
-`gcp_list.txt`. Files say nothing of the kind of the heights: they are taken as they stand, and the
-certificate says so; within a block that changes nothing that can be measured. Without a system coordinates
-are taken as Cartesian, which is said where they are large enough to be those of a map.
+Map coordinates are transformed from their system: `wkt.prj` of Pix4D, the reference of Metashape, the first
+line of `gcp_list.txt`. The files do not state the kind of the heights: heights are used unchanged, and the
+certificate says so; within one block this has no measurable effect. Without a system, coordinates are used as
+Cartesian, with a message where they are large enough to be map coordinates.
 
 Left out and named: points whose rays have a parallax below 5 px (heads of one exposure are centimetres
-apart), images with fewer than four rays and cameras without any, rays that do not fit. A camera with no
-distortion and its principal point in the middle was never estimated: it is named, and estimated.
+apart), images with fewer than four rays and cameras without any, rays that do not fit. A camera without
+distortion and with its principal point in the middle was never calibrated: it is named, and estimated.
 
-Damaged files are read or refused in words, within a gigabyte: [evidence](evidence/fuzz_readers.md).
+Damaged files are read, or refused with a message, within a gigabyte of memory:
+[evidence](evidence/fuzz_readers.md).
 """
 
 from __future__ import annotations

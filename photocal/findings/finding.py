@@ -36,21 +36,21 @@ class Size:
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that a check found; `texts` says it, `hypotheses` knows what it means.
+    """One finding of a check; `texts` has its wording, `hypotheses` its meaning.
 
     Attributes
     ----------
     code
-        What it is; the key of its text, and of its remedy where there is one.
+        Kind of the finding; key of its text, and of its remedy where there is one.
     subject
         Parameter, pair, camera, image or point that is concerned.
     figures
-        The figures behind it (a `Figure` where a text says it), SI where the name has no unit; names of
-        points and images as tuples, terms by their codes; None is no number.
+        Its figures (a `Figure` where a text shows it), SI where the name has no unit; names of points and
+        images as tuples, terms by their codes; None where there is no number.
     clauses
-        Codes of what else is to be said, in order.
+        Codes of additional sentences, in order.
     cause, remedy
-        Codes of why, and of what to do where it is not the remedy of the code itself.
+        Codes of the cause, and of the remedy where it differs from that of the finding.
     """
 
     code: str
@@ -65,7 +65,7 @@ class Finding:
 
     @property
     def small(self) -> bool:
-        """Whether it may be left as it is."""
+        """Whether it needs no action."""
         return self.severity in ("note", "passed", "untested")
 
 

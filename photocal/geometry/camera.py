@@ -142,9 +142,9 @@ class Camera:
     prior_correlation : array, shape (20, 20)
         Correlations of the values as observations; None when they are independent.
     guessed
-        Whether c is a guess: good to start from, and nothing to hold.
+        Whether c is a guess: a start value that must not be held fixed.
     stated_by
-        Who observed the values with a prior sigma, where that is a tag of its maker; empty for others.
+        Name of the maker's tag that the values with a prior sigma come from; empty for other values.
     given : array, shape (20,)
         Of adjusted values: what they were before; else None.
     sigma : array, shape (20,)
@@ -157,9 +157,9 @@ class Camera:
     readout_direction
         In which order a rolling shutter reads the lines.
     shutter
-        Whether images have one pose for all lines; an unknown shutter is tested.
+        Whether all lines of an image have one exterior orientation; an unknown shutter is tested.
     gust
-        By how much velocity (m/s) and rate (rad/s) of an image depart from what is known of the flight.
+        By how much velocity (m/s) and rate (rad/s) of an image deviate from the known motion of the flight.
     shake
         Sigmas of the turns of an image during its readout (rad), by their degree from 1 on; empty
         without.
@@ -264,7 +264,7 @@ class Camera:
         return float(self.values[PARAMETERS.index(name)])
 
     def adjusted(self, values: ArrayLike, sigma: ArrayLike, correlation: ArrayLike) -> Self:
-        """Return the same camera with adjusted values and what is known of them."""
+        """Return the same camera with adjusted values, their standard deviations and correlations."""
         return replace(
             self.with_values(values),
             given=self.values,
@@ -333,12 +333,12 @@ def camera(
     Returns
     -------
     Camera
-        The camera with what is known of it.
+        The camera.
 
     Raises
     ------
     ConfigurationError
-        For a name that is no parameter.
+        For a name that is not a parameter.
 
     References
     ----------

@@ -28,11 +28,11 @@ class OrientedImages:
     values : array, shape (n, 6)
         Omega, phi, kappa in radians, X, Y, Z of the projection centre in m; NaN where not known.
     covariance : array, shape (n, 6, 6)
-        Of `values`; NaN where nothing is said of an image; None where nothing is of any.
+        Of `values`; NaN for an image without one; None where no image has one.
     movement : array, shape (n, 6 or 21)
-        While a rolling shutter reads an image: of the projection centre (m, axes of X, Y, Z) and turn of
-        the camera (rad, its own axes), then the polynomials of what shakes it, see `shutter`. `values`
-        hold in the middle of it. None where none moves.
+        While a rolling shutter reads an image: of the projection centre (m, axes of X, Y, Z) and turn of the
+        camera (rad, its own axes), then the polynomials of its vibration, see `shutter`. `values` refer to
+        the middle of the readout. None where no image moves.
     """
 
     names: tuple[str, ...]
@@ -80,7 +80,7 @@ class OrientedImages:
 
     @cached_property
     def sigma(self) -> Floats:
-        """Standard deviations of `values` (rad, m), shape (n, 6); NaN where nothing is said."""
+        """Standard deviations of `values` (rad, m), shape (n, 6); NaN where not known."""
         return np.asarray(np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)))
 
     def only(self, numbers: Sequence[int] | Integers) -> Self:
@@ -153,7 +153,7 @@ class OrientedImages:
         return np.asarray(np.clip((slope * plane).sum(axis=1), -1.0, 1.0))
 
     def at_the_middle(self, image: Integers, pixels: Floats) -> Floats:
-        """Where images would show places, but for how they turn while they are read; shape (m, 2).
+        """Image coordinates reduced to the middle of the readout; shape (m, 2).
 
         image (m,).
         pixels (m, 2): where they do.

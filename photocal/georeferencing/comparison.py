@@ -239,7 +239,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class BlockCheck:
-    """Everything that is said about a block.
+    """The check of the georeferencing of a block.
 
     Attributes
     ----------
@@ -250,9 +250,9 @@ class BlockCheck:
     systematic
         None without positions, or where they cannot be tested.
     mistyped
-        Control points that contradict the others; systematic errors were looked for without them.
+        Control points that contradict the others; the search for systematic errors leaves them out.
     slips
-        What names the slips of the pen that made a control point wrong.
+        The typing errors that explain the wrong control points.
     """
 
     block: Block

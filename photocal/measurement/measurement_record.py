@@ -39,7 +39,7 @@ PIXEL_ORIGIN = "centre of the upper-left stored pixel is (0, 0); EXIF orientatio
 
 @dataclass(frozen=True)
 class MeasuredBlock:
-    """A block that was measured, and how.
+    """A measured block and the record of its measurement.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class MeasuredBlock:
     record: dict[str, Any]
 
     def write(self, folder: Path) -> None:
-        """Write the block folder, and how it was measured beside it."""
+        """Write the block folder and the record of its measurement."""
         write_block(folder, self.block)
         write_json(folder / RECORD, self.record, 2)
 

@@ -13,7 +13,7 @@ from photocal.base.options import Option, Options
 
 @dataclass(frozen=True, kw_only=True)
 class MeasureOptions(Options):
-    """What is measured in the pictures, what is known of their control and lens, and with which means."""
+    """What is measured in the pictures, control and lens, and the methods."""
 
     gcp: Annotated[
         Path | None,
@@ -39,7 +39,8 @@ class MeasureOptions(Options):
         str, Option("Field of coded targets without coordinates: their dictionary, such as 4x4_250.")
     ] = ""
     distances: Annotated[
-        Path | None, Option("Tape distances in a field: CSV from, to, value, sigma (m) between corners 17.1.")
+        Path | None,
+        Option("Tape distances in a field: CSV from, to, value, sigma (m); 17.1 is corner 1 of target 17."),
     ] = None
     run: Annotated[Path | None, Option("With --field: adjust the block, too, into this folder.")] = None
     c_px: Annotated[float, Option("Principal distance, px; overrides the value in the pictures.")] = 0.0

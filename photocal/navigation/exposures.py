@@ -267,12 +267,12 @@ class Exposures(TableColumns):
     images
         Names of the images, one for each camera that took one; none where none matched.
     height_kind
-        What the heights are above.
+        Kind of the heights.
     carrier
-        Of the body that the antenna is fixed to, where the camera hangs in a gimbal with an attitude of its
-        own; None: the same body.
+        Of the body that the antenna is fixed to, where the camera is in a gimbal with its own attitude; None:
+        the same body.
     above_take_off_m
-        Second height of the images, where they tell it, shape (n,).
+        Height above the take-off point, where the images state it, shape (n,).
     """
 
     time: GpsTime

@@ -21,10 +21,10 @@ _DECODED = ("/position", "/fix", "/attitude", "/parameter")
 class FlightLog:
     """One flight in one or several logs that follow each other; `acquire` writes them.
 
-    The logs are opened and read when a message is first asked for, and never again: raw frames, event lists,
-    exposures, positions and attitudes are kept, all else is passed over. The numbers of their messages go on
-    from log to log: a decoded message has that of the frame that it was made from. What a recorder wrote
-    to two files, because a disk had not confirmed it, is there once.
+    The logs are read once, when a message is first requested. Raw frames, event lists, exposures, positions
+    and attitudes are kept; everything else is skipped. Messages are numbered through all logs: a decoded
+    message has the number of its frame. Frames that the recorder wrote to two files, because a disk had not
+    confirmed them, appear once.
 
     Attributes
     ----------

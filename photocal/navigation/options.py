@@ -60,7 +60,7 @@ class PpkOptions(Options):
         str | None,
         Option("System of the control, as EPSG:31982: the base is moved to its frame and epoch."),
     ] = None
-    elevation: Annotated[float, Option("Least elevation of satellites, degrees.")] = 15.0
+    elevation: Annotated[float, Option("Elevation mask, degrees.")] = 15.0
     static: Annotated[bool, Option("The rover stood still: one position.", ("--static",))] = False
 
 

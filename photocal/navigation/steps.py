@@ -129,7 +129,7 @@ def ppk(
     Raises
     ------
     ConfigurationError
-        When something that is needed was not named.
+        When a required input is not given.
     IllPosedError
         Without overlap, with too few epochs, without ephemerides, or with a wrong position of the base.
     ProgramMissingError
@@ -186,7 +186,7 @@ def exposures(
     Raises
     ------
     ConfigurationError
-        When the log has neither events nor images, or nothing that tells positions.
+        When the log has neither events nor images, or no positions.
 
     Examples
     --------

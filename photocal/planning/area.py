@@ -63,14 +63,14 @@ class LocalPlane:
 
 
 def area_from_corners(corners_deg: list[tuple[float, float]], where: str) -> Area:
-    """Make an area from its corners, and refuse what cannot be flown.
+    """Make an area from its corners; an area that cannot be flown raises an error.
 
     Parameters
     ----------
     corners_deg
         Longitude and latitude of each corner, degrees, in their order around the area.
     where
-        File or name of the area, for what is said when something is wrong.
+        File or name of the area, for error messages.
 
     Returns
     -------
@@ -162,7 +162,7 @@ def read_area(path: str | Path) -> Area:
     InputNotFoundError
         When there is no such file.
     InputMalformedError
-        When it does not hold exactly one simple polygon.
+        When it does not contain exactly one simple polygon.
 
     Examples
     --------

@@ -112,7 +112,7 @@ def _extent_in_band(rotated: Floats, low: float, high: float) -> tuple[float, fl
 
 @dataclass(frozen=True)
 class FlightRequest:
-    """What is asked of a flight.
+    """Requirements of a flight.
 
     Attributes
     ----------
@@ -125,7 +125,8 @@ class FlightRequest:
     second_height_m
         Height above ground of the cross strips, m; it separates principal distance and flying height.
     border_m
-        How far beyond the area is covered as well: distortion and control are weakest at the edge.
+        Width of a margin around the area that is covered, too: distortion and control are weakest at the
+        edge.
     """
 
     frame: PlanningCamera

@@ -370,7 +370,7 @@ class NetworkPlan:
         return self.text(catalogue("en"))
 
     def text(self, say: Catalogue) -> str:
-        """Say it for people, in a language."""
+        """Give it as a text in a language."""
         made = self.figures()
         rays, worst, station = made["rays_per_point"], made["worst"], made["station_sigma"]
         places, farthest = (

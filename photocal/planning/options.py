@@ -41,7 +41,7 @@ class FlightOptions(Options):
     border: Annotated[float, Option("Buffer around the area, m.")] = 0.0
 
     def request(self) -> "FlightRequest":
-        """Give what is asked of the flight in metres and radians.
+        """Give the request in metres and radians.
 
         Raises
         ------
@@ -145,7 +145,7 @@ class PrecisionOptions(Options):
 
     @property
     def control_m(self) -> tuple[float, float]:
-        """Precision of control in plane and height, m; ConfigurationError for a text that is none."""
+        """Precision of control in plane and height, m; ConfigurationError for an invalid text."""
         return _pair(self.control_sigma_m)
 
     @property
@@ -173,5 +173,6 @@ class FlownOptions(Options):
         Path | None, Option("Terrain model (GeoTIFF) to check laser distances; without: tie points.")
     ] = None
     terrain_heights: Annotated[
-        str | None, Option("Heights of that model, ellipsoidal or orthometric, if the file does not say.")
+        str | None,
+        Option("Heights of that model, ellipsoidal or orthometric, if the file does not state them."),
     ] = None

@@ -212,15 +212,15 @@ class Plan:
     targets
         Classes that the product shall reach; empty without a map scale.
     findings
-        What the limits of camera, class and radio say of the flight.
+        Findings of the comparison with the limits of camera, class and radio.
     wind
-        What a wind makes of the strips, see `photocal.planning.mission.in_wind`; None without wind.
+        Effect of the wind on the strips, see `photocal.planning.mission.in_wind`; None without wind.
     takeoff
         Take-off place and mean height of the area above mean sea level, m; None without a mission.
     farthest_m
         Distance of the farthest photo from the take-off place, m; None without a mission.
     survey
-        Precision of the observations of which the flight was adjusted.
+        Precision of the observations in the adjustment of the planned flight.
     precision
         Standard deviations that this adjustment gives; None where it was not asked for.
     """
@@ -248,7 +248,7 @@ class Plan:
         return self.text(catalogue("en"))
 
     def text(self, say: Catalogue) -> str:
-        """Say it for people, in a language."""
+        """Give it as a text in a language."""
         lines = [to_text(self.flight, self.targets, self.findings, say)]
         if self.wind is not None:
             lines.append(say.told("planned.wind", **self.wind))
@@ -283,7 +283,7 @@ def plan(
     mission: MissionOptions | None = None,
     precision: PrecisionOptions | None = None,
 ) -> Plan:
-    """Plan a photo flight over a polygon and expect its precision.
+    """Plan a photo flight over a polygon and predict its precision.
 
     The planned exposures, a net of tie points and the suggested ground points are adjusted as a network
     without errors: its covariance is that of the flight as planned.
@@ -295,7 +295,8 @@ def plan(
     request
         Camera, height (m), overlaps (shares), speed (m/s) and strips.
     limits
-        Wind, range of the radio, class of the product and times of the camera to hold the flight against.
+        Wind, range of the radio, class of the product and timing of the camera, with which the flight is
+        checked.
     mission
         Take-off place and mean height of the area, for distances and the mission.
     precision
@@ -412,12 +413,12 @@ def simulate_flights(plan: Plan, flights: int = 20, *, seed: int = 0) -> FlightE
     Returns
     -------
     FlightErrors
-        What the covariance promises, and what the flights show.
+        The errors that the covariance predicts, and those of the simulated flights.
 
     Raises
     ------
     IllPosedError
-        When two photos see no check point, or the flight does not determine its points.
+        When no check point is visible in two photos, or the flight does not determine its points.
 
     Examples
     --------

@@ -66,7 +66,7 @@ class Contours:
         return self.text(catalogue("en"))
 
     def text(self, say: Catalogue) -> str:
-        """Say it for people, in a language."""
+        """Give it as a text in a language."""
         made = self.figures()
         ends = {"lowest": float(made["lowest_m"]), "highest": float(made["highest_m"])}
         counts = {"lines": made["lines"], "index": made["index_lines"]}

@@ -40,14 +40,16 @@ class OrthoOptions(Options):
 
     run: Annotated[Path | None, Option("Adjustment of the block; without: orientations as given.")] = None
     image: Annotated[tuple[str, ...], Option("Only this image; may be repeated.")] = ()
-    cell: Annotated[float | None, Option("Size of a cell, m; without: the pixel on the ground.")] = None
+    cell: Annotated[float | None, Option("Size of a cell, m; without: the ground sample distance.")] = None
     bounds: Annotated[str | None, Option("Rectangle: WEST,SOUTH,EAST,NORTH in metres.")] = None
     resampling: Annotated[str, Option("nearest, bilinear or cubic.")] = "bilinear"
     crs: Annotated[str | None, Option("Reference system of block and terrain model.")] = None
     heights: Annotated[str | None, Option("Height kind of a terrain model that does not state it.")] = None
     dtm_cell: Annotated[float | None, Option("Cell size for gridding a CSV of terrain points, m.")] = None
     dtm_output: Annotated[Path | None, Option("GeoTIFF of the terrain model made from a CSV.")] = None
-    nodata: Annotated[float, Option("Value of cells without image; real grey levels avoid it.")] = 0.0
+    nodata: Annotated[
+        float, Option("Value of cells without image; equal grey values of images are changed by one.")
+    ] = 0.0
     compare: Annotated[
         Path | None, Option("Another adjustment of the block, with another interior orientation.")
     ] = None

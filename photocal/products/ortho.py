@@ -78,7 +78,7 @@ class Orthophoto:
         return self.text(catalogue("en"))
 
     def text(self, say: Catalogue) -> str:
-        """Say it for people, in a language."""
+        """Give it as a text in a language."""
         grid, field_ = self.grid, self.displacement
         count = grid.columns * grid.rows
         size = {"columns": grid.columns, "rows": grid.rows, "cell": float(grid.cell)}

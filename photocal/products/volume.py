@@ -175,7 +175,7 @@ class Volume:
         return self.text(catalogue("en"))
 
     def text(self, say: Catalogue) -> str:
-        """Say it for people, in a language."""
+        """Give it as a text in a language."""
         of = self.figures
         pieces: list[Piece] = [_section_table(of["sections"], say)] if "sections" in of else []
         if lines := tuple(_lines(of, say)):

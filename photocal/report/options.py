@@ -22,7 +22,7 @@ class CertificateOptions(Options):
         Path | None,
         Option(
             "Block folder of the run, or its set-up file, when it is not found near it: the certificate "
-            "carries the inputs for `photocal verify`."
+            "includes the inputs for `photocal verify`."
         ),
     ] = None
     particulars: Annotated[
@@ -36,7 +36,7 @@ class CertificateOptions(Options):
     ] = None
 
     def day(self) -> dt.date:
-        """Give the day of the certificate, today where none is stated; ConfigurationError for no date."""
+        """Give the day of the certificate, today by default; ConfigurationError for an invalid date."""
         if self.date is None:
             return dt.datetime.now().astimezone().date()
         try:

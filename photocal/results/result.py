@@ -318,7 +318,7 @@ class Result(Figures):
         return result
 
     def write(self, path: str | Path) -> None:
-        """Write a run folder, whole or not at all."""
+        """Write a run folder; an interrupted write leaves no incomplete result."""
         with output_folder(Path(path)) as aside:
             import_module(_FOLDER).write_result(aside, self)
 
@@ -327,7 +327,7 @@ class Result(Figures):
         return self.text(catalogue("en"))
 
     def text(self, say: Catalogue) -> str:
-        """What a person wants to know first, in a language."""
+        """The main figures as text in a language."""
         counts = {name: getattr(self, name) for name in ("iterations", "observations", "unknowns")}
         freedom = self.degrees_of_freedom
         lines = [say("result.head", block=self.block.name, **counts, freedom=freedom)]

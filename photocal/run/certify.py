@@ -65,7 +65,7 @@ def certificate(
     Raises
     ------
     ConfigurationError
-        For a date that is none, or a principal distance that was only guessed.
+        For an invalid date, or a principal distance that was only guessed.
     InputNotFoundError, InputMalformedError
         For inputs that cannot be read or have changed.
     OutputError

@@ -359,14 +359,14 @@ def pictures_of(project: "Project") -> dict[str, Path]:
 
 @dataclass(frozen=True)
 class StageResult:
-    """A stage that is done.
+    """A finished stage.
 
     Attributes
     ----------
     adjustments
-        Reasons of those that it took, one each.
+        Reason of each adjustment that it computed.
     foreign
-        What lies in its folder and is not of it, one phrase each.
+        Files in its folder that the stage has not written, one phrase each.
     """
 
     name: str

@@ -14,9 +14,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "api.md"
 EXAMPLES = PAGE.parent / "examples"
 _HEAD = """# photocal in Python
 
-Made from the docstrings by `python -m tests.docs`. `import photocal` is quick; what is used is loaded
-then. Lengths are metres, angles radians, unless a name says otherwise; arrays are numpy, tables Arrow
-(`to_pandas()` goes on). What is wrong raises one of `photocal.PhotocalError`, with cause,
+Made from the docstrings by `python -m tests.docs`. `import photocal` is quick; what is used is loaded then.
+Lengths are metres, angles radians, unless a name says otherwise; arrays are numpy, tables Arrow
+(`to_pandas()` converts them). Errors are subclasses of `photocal.PhotocalError`; their message gives cause,
 place and remedy.
 
 Examples that run: {examples}.

@@ -130,7 +130,7 @@ def figure() -> str:
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height + 30:g}" '
             'font-family="Helvetica, Arial, sans-serif">'
         ),
-        "<title>Rooms of photocal and the arrows between them</title>",
+        "<title>Subpackages of photocal and their imports</title>",
         (
             '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="8" markerHeight="8" '
             f'orient="auto"><path d="M0 0.8 L8 4 L0 7.2 z" fill="{_PALE}"/></marker></defs>'

@@ -12,7 +12,7 @@ from photocal.findings.texts import catalogue
 from photocal.hypotheses.table import FAULTS, SYMPTOMS, Fault
 
 PAGE = Path(__file__).parents[2] / "docs" / "faults.md"
-HEAD = """# Faults that are looked for
+HEAD = """# Faults that are tested
 
 Made from the table of faults (`photocal/hypotheses/table.py`) and its texts; [the guide](guide/warnings.md)
 says what to do. A new fault is one entry in the table with its texts `term.CODE`, `finding.CODE` and, where
@@ -50,9 +50,10 @@ def _scatter() -> str:
     return f"""
 ## Control that is worse than stated
 
-v'Pv of an axis of control is judged against chi-squared (two-sided, {policy.significance:.1%}). By how many
-times the stated sigmas must be too small for this test alone to find them, by the redundancy of that axis:
-its coordinates, less what they determine themselves. Fewer are named where a cause explains as much.
+v'Pv of an axis of control is judged against chi-squared (two-sided, {policy.significance:.1%}). The table
+gives the factor by which the stated sigmas must be too small for this test alone to detect it. The redundancy
+of an axis is the number of its coordinates minus the unknowns that they determine. Such control is not named
+where a cause explains as much.
 
 | redundancy | {" | ".join(f"found in {share:.0%}" for share in SHARES)} |
 |---|---|---|

@@ -13,7 +13,7 @@ from tests.docs.api_page import EXAMPLES
 PAGE = EXAMPLES / "README.md"
 _HEAD = """# Examples in Python
 
-Each runs as it stands: `python docs/examples/NAME.py`. What it prints follows its code.
+Each example runs unchanged: `python docs/examples/NAME.py`. Its output follows the code.
 Made by `python -m tests.docs`.
 """
 # It reads a log that the user has.

@@ -244,11 +244,11 @@ class Compared:
     asked
         The calibrations, and how they are compared.
     points
-        Number of places of the format at which they are.
+        Number of image points at which they are compared.
     pairs
         Misclosure, zero rotation, rotation and single photo resection of each pair, px.
     followed
-        Published figures, and whether these follow them.
+        Published figures, and whether the computed ones agree with them.
     joint
         Every pair, and all, tested for equality of their parameters as vectors.
     """
@@ -270,7 +270,7 @@ class Compared:
         return self.text(catalogue("en"))
 
     def text(self, say: Catalogue) -> str:
-        """Say it for people, in a language."""
+        """Give it as a text in a language."""
         level = 1.0 - policy.confidence
         told = (_text(self.asked, self.pairs, self.followed, say), joint_text(self.joint, level, say))
         return "\n\n".join(filter(None, told))
