@@ -134,7 +134,8 @@ def judge_pictures(facts: Sequence[ImageFacts]) -> list[Finding]:
         usual, others = _unlike(alike, stated)
         if others:
             findings.append(_about(code, others, facts, "doubtful", told=stated(others[0]), usual=usual))
-            alike = [image for image in alike if stated(image) == usual or not stated(image)]
+            left_out = {id(image) for image in others}
+            alike = [image for image in alike if id(image) not in left_out]
     for test in (_fixes, _old_corrections, _corrected, _sharpened, _smeared, _turned_over, _beside_table):
         findings += test(facts)
     return findings
@@ -156,7 +157,16 @@ def _unlike(facts: Sequence[ImageFacts], stated: Callable[[ImageFacts], str]) ->
     """What most pictures state, and those that state something else."""
     counts = Counter(text for image in facts if (text := stated(image)))
     usual = max(counts, key=lambda text: counts[text], default="")
-    return usual, [image for image in facts if stated(image) not in ("", usual)]
+    own = next((image for image in facts if stated(image) == usual), None)
+    others = [image for image in facts if stated(image) not in ("", usual)]
+    return usual, [image for image in others if own is None or stated(_at_rest(image, own)) != usual]
+
+
+def _at_rest(image: ImageFacts, usual: ImageFacts) -> ImageFacts:
+    """An image whose lens stands where it usually does: a drive may come to rest a step beside."""
+    if abs(image.lens_position - usual.lens_position) <= 1.0:
+        return replace(image, lens_position=usual.lens_position)
+    return image
 
 
 def _body(image: ImageFacts) -> str:

@@ -219,6 +219,14 @@ def test_what_differs_in_one_picture_is_named(changed: dict[str, Any], code: str
     assert (found.code, found.severity, found.figures["images"]) == (code, severity, ("5.jpg",))
 
 
+def test_a_lens_that_rests_a_step_beside_was_not_refocused() -> None:
+    pictures = [m4e(name=f"{k}.jpg", lens_position=312.0 + (0, 1, 0, -1)[k % 4]) for k in range(12)]
+    assert judge_pictures(pictures) == []
+    moved = [dataclasses.replace(pictures[0], name="moved.jpg", lens_position=314.0), *pictures]
+    (found,) = judge_pictures(moved)
+    assert (found.code, found.figures["images"]) == ("refocused", ("moved.jpg",))
+
+
 def with_lens_position(path: Path, folder: Path, position: int) -> ImageFacts:
     """Write a picture anew whose packet states a lens position, in the place of blanks behind the packet."""
     stated, end = b'\n   drone-dji:LensPosition="%d"' % position, b"</x:xmpmeta>"
