@@ -13,7 +13,7 @@ import numpy as np
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputNotFoundError, PhotocalError
 from photocal.base.text_tables import TextTable, folded, shortened
-from photocal.block.model import ROLES, Block, ObjectPoints
+from photocal.block.model import ROLES, Block, ObjectPoints, Role
 from photocal.exchange.parts import Mark, PointEntry, object_points
 from photocal.exchange.source import number, read_lines
 from photocal.findings.texts import Catalogue
@@ -48,8 +48,10 @@ _MARKED_HEADS = (
     {**HEADS, **_IN_IMAGE, "X": HEADS["X"][1:], "Y": HEADS["Y"][1:]},
     {**HEADS, **_IN_IMAGE, "x": _IN_IMAGE["x"][1:], "y": _IN_IMAGE["y"][1:]},
 )
-CHECKS = ("check", "checagem", "verificação", "verificacao", "checkpoint", "check point", "cp", "chk")
-_CONTROLS = ("", "control", "controle", "apoio", "gcp", "control point", "3d gcp")
+CHECKS = ("check", "checagem", "verificação", "verificacao", "checkpoint", "check point", "chk")
+_CONTROLS = ("control", "controle", "apoio", "gcp", "control point", "3d gcp")
+# A check point beside "gcp", a control point beside "check", and alone it may be either.
+_EITHER = "cp"
 _LOGS, _RAW_LOGS = (".mcap",), (".tlog", ".bin", ".ulg", ".ubx")
 _TABLES = (".csv", ".txt")
 _NO_TEXTS = (".xlsx", ".xls", ".ods", ".kml", ".kmz", ".shp", ".gpkg", ".dxf", ".gpx")
@@ -310,11 +312,7 @@ def _table(path: Path, sizes: Sizes, say: Catalogue) -> ControlMarks:
     table, places, given = read_places(path, HEADS, (), say, degrees=in_degrees(path))
     index, names = table.names("point")
     first = np.unique(index, return_index=True)[1]
-    roles = (
-        [word.lower() in CHECKS for word in table.texts("role")]
-        if table.has("role")
-        else [False] * len(index)
-    )
+    roles = _roles(table.texts("role"))[0] if table.has("role") else [None] * len(index)
     again = [
         say("new.row_again_role", place=table.place(row), name=names[place])
         if same and roles[row] != roles[first[place]]
@@ -362,16 +360,29 @@ def _of_table(
     roles = ["control"] * len(names)
     if table.has("role"):
         words = table.texts("role")
-        roles = ["check" if words[row].lower() in CHECKS else "control" for row in rows]
-        unclear = [row for row in rows.tolist() if words[row].lower() not in (*CHECKS, *_CONTROLS)]
+        meant, known = _roles(words)
+        roles = [meant[row] for row in rows]
+        unclear = [row for row in rows.tolist() if words[row].lower() not in known]
+        either = [row for row in unclear if words[row].lower() == _EITHER]
+        told = [say("new.role_either", place=table.place(row), role=words[row]) for row in either[:1]]
         # Under other heads stand kinds of all sorts.
-        if unclear and folded(table.heads["role"]) == "role":
-            told = [say("new.role_unknown", place=table.place(row), role=words[row]) for row in unclear]
-            given = replace(given, doubtful=tuple(told))
+        if folded(table.heads["role"]) == "role":
+            others = [row for row in unclear if row not in either]
+            told += [say("new.role_unknown", place=table.place(row), role=words[row]) for row in others]
+        given = replace(given, doubtful=tuple(told))
     sigma[np.array(roles) == "check"] = np.where(stated, sigma[np.array(roles) == "check"], np.inf)
     role = np.array([ROLES.index(name) for name in roles], dtype=np.int64)
     points = ObjectPoints(names, places, sigma, role)
     return replace(given, points=points, assumed=frozenset(() if stated else names))
+
+
+def _roles(words: Sequence[str]) -> tuple[list[Role], frozenset[str]]:
+    """What the words of a table mean, row by row, and those that leave no doubt."""
+    told = {word.lower() for word in words}
+    checks = {*CHECKS, *({_EITHER} if told.isdisjoint(CHECKS) else ())}
+    clear = not told.isdisjoint(CHECKS) or not told.isdisjoint(_CONTROLS)
+    roles: list[Role] = ["check" if word.lower() in checks else "control" for word in words]
+    return roles, frozenset({"", *CHECKS, *_CONTROLS, *({_EITHER} if clear else ())})
 
 
 def _bare_table(path: Path, sizes: Sizes, say: Catalogue) -> ControlMarks:

@@ -262,6 +262,28 @@ def test_feet_stay_in_a_map_in_feet(folder: Path, photocal: Photocal) -> None:
     assert not any("as its heads state" in line for line in found["found"])
 
 
+@pytest.mark.parametrize(
+    ("words", "checks", "doubt"),
+    [
+        (("GCP", "GCP", "GCP", "CP"), {"G4"}, False),
+        (("CP", "CP", "CP", "check"), {"G4"}, False),
+        (("CP", "CP", "CP", "CP"), {"G1", "G2", "G3", "G4"}, True),
+    ],
+    ids=["check points beside gcp", "control points beside check", "either"],
+)
+def test_cp_is_a_control_or_a_check_point_by_what_stands_beside_it(
+    folder: Path, photocal: Photocal, words: tuple[str, ...], checks: set[str], doubt: bool
+) -> None:
+    head, *rows = table("name,E,N,Z,role", "{p},{E},{N},{Z},").splitlines()
+    listed = [head, *(row + word for row, word in zip(rows, words, strict=True))]
+    (folder / "points.csv").write_text("\n".join(listed) + "\n", encoding="utf-8")
+    found = new(photocal, folder)
+    with (folder / "control.csv").open(encoding="utf-8") as made:
+        assert {row["point"] for row in csv.DictReader(made) if row["role"] == "check"} == checks
+    told = [line for lines in found.values() for line in lines if "may mean control or check" in line]
+    assert len(told) == doubt
+
+
 def test_the_system_that_a_table_names_is_taken(folder: Path, photocal: Photocal) -> None:
     text = table("Name,Easting,Northing,Elevation,CS name", "{p},{E},{N},{Z},SIRGAS 2000 / UTM zone 22S")
     (folder / "survey.csv").write_text(text)
