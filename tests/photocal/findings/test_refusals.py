@@ -121,7 +121,7 @@ SINGULAR = (
     "add control points, weighted positions or prior sigmas, or hold what cannot be determined"
 )
 SINGULAR_PT = (
-    "a rede é singular (defeito de posto 7): nada fixa o datum (rotation); "
+    "a rede é singular (deficiência de posto 7): nada fixa o datum (rotation); "
     "as observações não separam c; "
     "acrescente pontos de apoio, posições com peso ou desvios-padrão a priori, "
     "ou fixe o que não pode ser determinado"

@@ -215,12 +215,12 @@ def spreadsheet(_: Rows) -> dict[tuple[str, str], str]:
         (
             misspelled,
             "points.csv, line 3: the role 'chekc' is neither control nor check",
-            "points.csv, line 3: o papel 'chekc' não é control nem check",
+            "points.csv, line 3: a função 'chekc' não é control nem check",
         ),
         (
             contradicting,
             "points.csv has other places of G3 than gcp_list.txt",
-            "points.csv tem outras posições de G3 que gcp_list.txt",
+            "points.csv tem coordenadas de G3 diferentes das de gcp_list.txt",
         ),
         (spreadsheet, "pontos.xlsx: is not read; if it has control", "pontos.xlsx: não é lido; se tem"),
         (lacking, "points.csv, line 3: Z of G2 is empty", "points.csv, line 3: falta Z de G2"),
