@@ -71,7 +71,7 @@ def adjust(
         raise ConfigurationError(f"--snoop {snoop} is not known", "use w or tau")
     test = cast("Literal['w', 'tau'] | None", snoop or None)
     if ellipses is not None and not 0 < ellipses < 1:
-        raise ConfigurationError(f"--ellipses {ellipses:g} is no probability", "give 0.95 for 95 %")
+        raise ConfigurationError(f"--ellipses {ellipses:g} is not a probability", "give 0.95 for 95 %")
     wanted = Wanted(ellipses, reliability, components, parse_joint(joint))
     compile_ahead()
     result = adjust_block(block, output, test, iteration_lines("adjusting"), wanted, read_any_block)
@@ -112,15 +112,15 @@ def analyse(
 ) -> None:
     """Analyse a calibration: a verdict, hidden errors worst first, significance, correlations, method.
 
-    The block of the run is adjusted again, with one change at a time. It is looked for where the run
-    says, beside the run and below the current folder, and recognised by its hashes. The answer is also
-    written as analysis.json into the run, from where `photocal certificate` takes it.
+    The block of the run is adjusted again, with one change at a time. It is searched for at the path that the
+    run stores, next to the run and below the current folder, and recognised by its hashes. The answer is
+    also written as analysis.json into the run; `photocal certificate` reads it there.
 
-    Of a block folder, or with --block where the run has no result, the verdict alone is said: it names the
-    control with which no adjustment ends.
+    For a block folder, or with --block for a run without a result, only the verdict is given: it names the
+    control points that keep the adjustment from converging.
 
-    A CSV with the columns parameter, value and std_dev (perhaps set), as publications and other programs
-    print them, is tested as it stands; with its correlations or covariance (--matrix), or of such a matrix
+    A CSV with the columns parameter, value and std_dev (optional: set), as publications and other programs
+    print them, is tested as printed; with its correlations or covariance (--matrix), or of such a matrix
     alone, strong correlations and principal components follow, too.
 
     Example: `photocal adjust my-block -o run && photocal analyse run`, or

@@ -42,10 +42,10 @@ def compare(
     (height_m, relief_m), terrains_each and seed. [[published]] gives printed figures to follow: method,
     definition, tolerance_px, values = [[first, second, px], ...].
 
-    Last, one test whether two calibrations are equal as parameter vectors, d' (S1 + S2)^-1 d with their whole
-    covariances, against chi-squared; beside it the same of what the difference does in the image when the
-    exterior orientation may turn the bundle back: a difference of parameters that no picture shows is none.
-    From three on both are asked of all together, about their mean. --json has it as `joint`.
+    Last, a test whether two calibrations are equal as parameter vectors: d' (S1 + S2)^-1 d, with their whole
+    covariances, against chi-squared. A second test does the same for the effect of the difference in the
+    image, after the exterior orientation has absorbed what it can. Three and more calibrations are also
+    tested together, about their mean. --json has the tests as `joint`.
 
     Certificates, runs and projects give their calibrations with all sigmas and correlations, in the order of
     time: stability of one camera over several flights. From three on, the variance between flights and the
@@ -119,10 +119,10 @@ def _flights(paths: list[Path], *, exchange: bool) -> tuple[Calibrated, ...]:
         return read_calibrated(paths)
     if len(paths) > 1:
         raise ConfigurationError(
-            "a file of cameras stands alone", "name it, or runs and projects only", where=paths[0]
+            "a file of cameras is given alone", "name it, or only runs and projects", where=paths[0]
         )
     if exchange:
         raise ConfigurationError(
-            "cameras alone have no flights to be used in", "name runs or projects", where="--exchange"
+            "a file of cameras has no flights to exchange", "name runs or projects", where="--exchange"
         )
     return ()

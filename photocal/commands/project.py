@@ -157,8 +157,8 @@ def debrief(
     reduced pictures. Run it again while pictures come in: finished checks are kept. The answer is also
     written as debrief.json into the project's work folder: `acquire monitor --page --debrief` shows it.
 
-    With --live it follows the folder that a tethered camera or a picture link writes into, by the positions
-    that pictures state, and leaves the log to the recorder.
+    With --live it watches the folder that a tethered camera or a picture link writes into. It uses the
+    positions that the pictures state, and does not read the log that is being recorded.
 
     Example: `photocal debrief project.toml --since last/calibration`
     """

@@ -60,7 +60,7 @@ Of a report `adopt` takes the names of check points, sigmas of the camera, and t
 ours. It is looked for in the folder of the project and in `report` or `odm_report` beside it.
 
 Coordinates of a map go through its system: `wkt.prj` of Pix4D, the reference of Metashape, the first line of
-`gcp_list.txt`. Files say nothing of the kind of the heights: they are taken as they stand, and the
+`gcp_list.txt`. Files say nothing of the kind of the heights: they are used unchanged, and the
 certificate says so; within a block that changes nothing that can be measured. Without a system coordinates
 are taken as Cartesian, which is said where they are large enough to be those of a map.
 

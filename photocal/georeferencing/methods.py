@@ -253,7 +253,7 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
         label += ", with camera and mounting of a calibration"
     open_values = joint is None and leaves_open(block)
     if open_values:
-        label += "; block.toml leaves camera or mounting open: start values are used, nothing tests them"
+        label += "; block.toml leaves camera or mounting open: their start values are used and are not tested"
     poses = np.hstack([angles_from_matrix(orientation.rotation), orientation.centre])
     poses[~orientation.known] = np.nan
     return Georeferenced(
@@ -282,7 +282,7 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
 def _adjusted(block: Block, method: Method, note: str, near: AdjustedNetwork | None) -> Georeferenced:
     if block.datum == "free":
         raise ConfigurationError(
-            "a free network has no datum that check points could judge",
+            "check points cannot test a free network: it has no datum",
             'set datum = "control"',
             where="block.toml",
         )

@@ -276,7 +276,7 @@ def test_a_camera_that_is_not_there_is_refused_by_the_names_of_those_that_are(
     for ask in (result.camera, result.plot.camera, result.plot.residuals):
         with pytest.raises(photocal.PhotocalError, match=r"no camera 'ricoh'.*dcs460"):
             ask("ricoh")
-    with pytest.raises(photocal.PhotocalError, match=r"'k1' is no parameter.*K1"):
+    with pytest.raises(photocal.PhotocalError, match=r"'k1' is not a parameter.*K1"):
         photocal.camera("lens", "brown-ideal", "px", (4, 3), (1, 1), {"k1": 1.0})
 
 

@@ -100,7 +100,7 @@ def test_a_receiver_is_configured_and_verified(generation: int, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("receiver", "words"),
     [
-        (Receiver(7), "of no generation that can be configured"),
+        (Receiver(7), "cannot be configured: only generations 8, 9 and 10 can"),
         (Receiver(9, refuses=True), "ACK-NAK"),
         (Receiver(8, refuses=True), "ACK-NAK"),
         (Receiver(9, forgets=True), "lost it"),

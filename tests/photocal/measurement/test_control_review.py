@@ -65,5 +65,5 @@ def test_twins_and_heights() -> None:
     assert "in feet" in one
     level = PLACES * [1.0, 1.0, 0.0] + [0.0, 0.0, 30.0]
     assert list(heights_apart(points(level), SAY)) == [
-        "the heights of all 6 points are 30, which a survey hardly gives"
+        "the heights of all 6 points are 30, which is improbable"
     ]

@@ -243,7 +243,7 @@ def in_week(row: str, seconds: float) -> str:
 SPOILT: dict[str, tuple[Change, str]] = {
     "two flights that count from 1": (
         lambda rows: [*rows[:6], *renumbered([later(row) for row in rows[6:]])],
-        "line 7: has another place for event 1 than line 1: two flights in one list",
+        "line 7: has another position for event 1 than line 1: two flights in one list",
     ),
     "a decimal comma": (with_line(6, height="512,998,Ellh"), "line 6: is not an event"),
     "a head": (lambda rows: ["Number\tTime", *rows], "line 1: is not an event"),

@@ -146,11 +146,11 @@ FORGED = b"<style>dd{color:red}</style></head>"
 WAYS: dict[str, tuple[Callable[[Path], None], str]] = {
     **{f"digit of {name}": (digit(name), f"{name} has changed") for name in INPUTS},
     **{f"no {name}": (remove(f"inputs/{name}"), f"{name} is missing") for name in INPUTS},
-    "another input": (add("inputs/distances.csv"), "inputs/distances.csv is no part"),
-    "another page": (add("certificate-corrected.html"), "certificate-corrected.html is no part"),
-    "hidden file": (add(".certificate.json"), ".certificate.json is no part"),
-    "another folder": (add("annex/figures.csv"), "annex/figures.csv is no part"),
-    "empty folder": (lambda folder: (folder / "annex").mkdir(), "annex is no part"),
+    "another input": (add("inputs/distances.csv"), "inputs/distances.csv is not part"),
+    "another page": (add("certificate-corrected.html"), "certificate-corrected.html is not part"),
+    "hidden file": (add(".certificate.json"), ".certificate.json is not part"),
+    "another folder": (add("annex/figures.csv"), "annex/figures.csv is not part"),
+    "empty folder": (lambda folder: (folder / "annex").mkdir(), "annex is not part"),
     "no page": (remove(HTML), f"{HTML} is missing"),
     "no PDF": (remove(PDF), f"{PDF} is missing"),
     "figure of the page": (

@@ -157,7 +157,7 @@ def test_a_damaged_stamp_is_refused(authority: Authority, signature: Path, cut: 
     stamp(signature, authority.address)
     path = signature.with_name(STAMP)
     path.write_bytes(path.read_bytes()[:cut])
-    with pytest.raises(InputMalformedError, match="is no time stamp"):
+    with pytest.raises(InputMalformedError, match="is not a time stamp"):
         stamped(signature)
 
 
