@@ -175,5 +175,5 @@ def test_corrections_reach_the_rover_whole_and_the_vehicle_in_fragments(tmp_path
         )  # fmt: skip
     assert receiver.corrections == b"".join(sent)
     assert autopilot.corrections == sent[:-1]
-    assert "vehicle does not get RTCM 1077: 1029 bytes, at most 720 can be carried" in told
+    assert "vehicle does not get RTCM 1077: 1029 bytes, at most 720 can be sent" in told
     assert messages(done.paths[0], "/rover/sent") == sent

@@ -142,7 +142,7 @@ def test_a_focus_between_two_calibrations() -> None:
         ({"photo_variant": {"c": "free"}, "estimate": ["c"]}, "free in every image"),
         ({"focus": {"distance_m": 0.04}}, "not beyond c"),
         ({"focus": {"distance_m": 2.0}, "unit": "px", "pitch_mm": None}, "needs c in mm"),
-        ({"focus": {"distance_m": 2.0, "calibrations": [{"distance_m": 1.0}]}}, "must be two"),
+        ({"focus": {"distance_m": 2.0, "calibrations": [{"distance_m": 1.0}]}}, "give two calibrations"),
     ],
 )
 def test_what_cannot_be(changes: dict[str, Any], said: str) -> None:

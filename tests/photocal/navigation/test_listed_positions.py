@@ -274,7 +274,7 @@ def test_a_line_that_is_missing_is_told(photocal: Photocal, tmp_path: Path) -> N
     pictures(tmp_path / "DJI_001")
     (tmp_path / "x_Timestamp.MRK").write_text("\n".join([*lines()[:5], *lines()[6:]]) + "\n")
     told = json.loads(photocal("new", tmp_path, "--json").out)["missing"]
-    assert "x_Timestamp.MRK has 11 of the 12 pictures: positions of DJI_0006.JPG stay their own" in told
+    assert "x_Timestamp.MRK has 11 of the 12 pictures: stated positions are kept for DJI_0006.JPG" in told
 
 
 def test_a_table_of_another_flight_is_named(tmp_path: Path) -> None:

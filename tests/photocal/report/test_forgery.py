@@ -173,7 +173,7 @@ WAYS: dict[str, tuple[Callable[[Path], None], str]] = {
     "older record": (other(RECORD), HTML),
     "signature of another": (other("signature.json"), "was changed after signing"),
     "no documents": (set_field("documents", to={}), f"{HTML} is not among the documents"),
-    "document elsewhere": (set_field("documents", "../x.pdf", to="0" * 64), "../x.pdf is no document"),
+    "document elsewhere": (set_field("documents", "../x.pdf", to="0" * 64), "../x.pdf is not a document"),
     "page is a link": (link(HTML), f"{HTML} is a link"),
     "input is a link": (link("inputs/points.csv"), "inputs/points.csv is a link"),
     "inputs are a link": (link("inputs"), "inputs is a link"),

@@ -261,7 +261,7 @@ def test_an_unsigned_certificate_has_a_code_of_its_own(
         ("ABCD " * 10 + "Lab\u2028" + "0123 " * 10 + BIG, "U+2028"),
         ("ABCD " * 10 + "Lab\x0b" + "0123 " * 10 + BIG, "U+000B"),
         ("WXYZ " * 10 + "Lab", "is not a key"),
-        ("ABCD " * 10 + "Lab\n" + "abcd " * 10 + "Lab", "stands above already"),
+        ("ABCD " * 10 + "Lab\n" + "abcd " * 10 + "Lab", "already listed above"),
     ],
 )
 def test_a_list_of_keys_means_one_thing(
