@@ -344,7 +344,7 @@ def with_relations(
         old = replace(old, further=(*old.further, (kind, related)))
     if kind not in old.names:
         raise ConfigurationError(
-            f"{kind!r} is no kind of observation that is known",
+            f"{kind!r} is not a known kind of observation",
             f"use {', '.join(old.names)}, or give a function of your own",
         )
     given, number = list(rows), {name: k for k, name in enumerate(block.points.names)}

@@ -36,7 +36,7 @@ _LONGEST_NAME = 255
 def _beside(path: Path, info: ValidationInfo) -> Path:
     """Take a path from the folder of the project file."""
     if "\0" in str(path) or any(len(part) > _LONGEST_NAME for part in path.parts):
-        raise ValueError("is no path that a file system can have")
+        raise ValueError("is not a valid path")
     return path if info.context is None else Path(info.context["folder"]) / path
 
 
@@ -206,7 +206,7 @@ class PlainTargets(Table):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         if self.part is not None and self.kind not in ("ring", "cross"):
-            raise ValueError(f"a {self.kind} has no part: remove it")
+            raise ValueError(f"a {self.kind} has no key part: remove it")
         return self
 
 
@@ -435,7 +435,7 @@ def read_project(path: Path) -> Project:
     if path.is_dir():
         folder, path = path, path / NAME
         if not path.exists():
-            remedy = f"photocal new {folder} looks at its pictures and tables and writes one"
+            remedy = f"photocal new {folder} writes one from its pictures and tables"
             raise InputNotFoundError(f"has no {NAME}", remedy, where=folder)
     contents = read_toml(path, Contents, {"folder": path.parent})
     cameras = [make_camera(keys, path) for keys in contents.camera]

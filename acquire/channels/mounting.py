@@ -35,7 +35,7 @@ _VALUES: dict[str, tuple[str, tuple[tuple[str, ...], ...]]] = {
     "camera mount, type": ("", (("MNT1_TYPE",), ("MNT_TYPE",), ("MNT_MODE_IN",))),
     "camera mount, mode at start": ("", (("MNT1_DEFLT_MODE",), ("MNT_DEFLT_MODE",))),
     "camera, type": ("", (("CAM1_TYPE",), ("CAM_TRIGG_TYPE",), ("TRIG_MODE",))),
-    "board, turn": ("", (("AHRS_ORIENTATION",), ("SENS_BOARD_ROT",))),
+    "board, rotation": ("", (("AHRS_ORIENTATION",), ("SENS_BOARD_ROT",))),
     "board, trim": ("rad", (_triple("AHRS_TRIM_"),)),
     "board, offset": ("deg", (("SENS_BOARD_X_OFF", "SENS_BOARD_Y_OFF", "SENS_BOARD_Z_OFF"),)),
 }
@@ -110,7 +110,7 @@ def mounting_lines(told: dict[str, Any]) -> list[str]:
             "if the camera sits at the body's origin; measure where it sits"
         )
     elif any(value["thing"] == ANTENNA for value in told["values"]):
-        lines.append("  for [rig]: nothing; an antenna at 0, 0, 0 was not measured")
+        lines.append("  for [rig]: no lever arm; an antenna at 0, 0, 0 was not measured")
     if "mount_deg" in rig:
         angles = ", ".join(f"{number:.6g}" for number in rig["mount_deg"])
         lines.append(

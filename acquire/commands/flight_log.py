@@ -71,7 +71,7 @@ def _noon_ns(date: str | None) -> int:
         day = dt.date.fromisoformat(date)
     except ValueError as refusal:
         raise ConfigurationError(
-            "is no date", "give year, month and day: 2026-05-01", where=f"--date {date}"
+            "is not a date", "give year, month and day: 2026-05-01", where=f"--date {date}"
         ) from refusal
     return int(dt.datetime(day.year, day.month, day.day, 12, tzinfo=dt.UTC).timestamp()) * 1_000_000_000
 

@@ -36,7 +36,7 @@ def simulate(
     if context.invoked_subcommand is not None:
         if output is not None or as_json:
             raise ConfigurationError(
-                "an option stands before the command", f"put it after {context.invoked_subcommand}"
+                "an option comes before the command", f"put it after {context.invoked_subcommand}"
             )
         return
     if output is None:

@@ -112,7 +112,7 @@ def export_tlog(path: Path, link: str, output: Path) -> int:
         for time_ns, frame in raw_frames(path, link):
             if frame[0] not in _STARTS:
                 raise InputMalformedError(
-                    f"the link {link!r} carries no MAVLink", "name the vehicle's with --link", where=path
+                    f"the link {link!r} has no MAVLink frames", "name the vehicle's with --link", where=path
                 )
             # Whole microseconds, big-endian: what ground stations write.
             stream.write((time_ns // 1000).to_bytes(8, "big") + frame)

@@ -141,7 +141,7 @@ def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[LoggedMe
         )
     except (RuntimeError, OSError) as refusal:
         raise ConfigurationError(
-            f"cannot be listened on ({refusal})", "look at the loopback interface", where=host
+            f"cannot be used for listening ({refusal})", "check the loopback interface", where=host
         ) from refusal
     served: dict[Channel, Any] = {}
 

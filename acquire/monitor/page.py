@@ -97,7 +97,7 @@ class Latest:
             come = list[str]()
             reported = sum(counted.feedbacks for counted in self.state.exposures.values())
             if "live" in content and reported:
-                come = [f"{len(content['pictures'])} of {reported} reported pictures have come"]
+                come = [f"{len(content['pictures'])} of {reported} reported pictures have been received"]
             return {
                 language: {
                     "verdict": said["verdict"],

@@ -48,7 +48,7 @@ def planned_line(path: Path) -> Floats:
             item, command = int(fields[0]), int(fields[3])
             place = float(fields[8]), float(fields[9])
         except (ValueError, IndexError):
-            raise wrong(f"line {number} is no item of a mission", "make it again") from None
+            raise wrong(f"line {number} is not a mission item", "make it again") from None
         if len(fields) == _FIELDS and item > 0 and command in _PLACES and any(place):
             places.append(place)
     return np.array(places, dtype=np.float64).reshape(-1, 2)

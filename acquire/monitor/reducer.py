@@ -165,7 +165,7 @@ def _pictures(state: RecordingState, name: str, counted: CountedPictures) -> Rec
 def _marks(state: RecordingState, name: str, counted: CountedPictures) -> RecordingState:
     before = state.marks.get(name, CountedPictures())
     state = replace(state, marks=_with(state.marks, name, counted))
-    return _lost(state, name, before, counted, "did not tell time mark")
+    return _lost(state, name, before, counted, "did not report time mark")
 
 
 def _lost(

@@ -71,7 +71,7 @@ class Tail:
                 if len(chunks) == _MOST_CHUNKS:
                     break
         except OSError as refusal:
-            self.trouble = f"{self._reader.path} is gone ({(refusal.strerror or str(refusal)).lower()})"
+            self.trouble = f"{self._reader.path} is missing ({(refusal.strerror or str(refusal)).lower()})"
         except PhotocalError as refusal:
             self.trouble = str(refusal)
         return chunks

@@ -143,9 +143,9 @@ def _sections(view: PageView, width: int) -> list[RenderableType]:
     names = [row["name"] for row in (*view.receivers, *view.links)]
     wide = min(max(map(len, ["disk", *names])), longest_name)
     groups: dict[str, Sequence[str | Text]] = {
-        "fix": [_receiver(row, wide) for row in view.receivers] or ["no receiver has spoken yet"],
+        "fix": [_receiver(row, wide) for row in view.receivers] or ["no data from a receiver yet"],
         "pictures": [_camera(row, wide) for row in view.cameras] or ["no view yet"],
-        "links": [_link(row, wide) for row in view.links] or ["no link has spoken yet"],
+        "links": [_link(row, wide) for row in view.links] or ["no data on any link yet"],
         "computer and vehicle": _rest(view, wide),
     }
     for heading, lines in groups.items():

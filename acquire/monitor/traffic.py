@@ -83,7 +83,7 @@ def looked(state: RecordingState, look: ComputerState) -> RecordingState:
         # Of a log that has long ended there is nothing to tell.
         live = before is not None and not before.ended and look.time_ns - state.last_ns < _GROWTH_OVER_NS
         if live:
-            state = raised(state, "note", "", f"{look.file} has its end", look.time_ns)
+            state = raised(state, "note", "", f"{look.file} is complete", look.time_ns)
         return replace(state, stalled=False)
     if grown and state.stalled:
         state = ended(state, "cured", look.time_ns, lambda alarm: alarm.about == "log")
@@ -93,7 +93,7 @@ def looked(state: RecordingState, look: ComputerState) -> RecordingState:
     pause_ns = abs(look.time_ns - state.grown_ns)
     if pause_ns > STALL_NS and not state.stalled and look.file:
         text = (
-            f"nothing was written for {STALL_NS // SECOND_NS} s: the recorder has stopped or no link speaks"
+            f"nothing was written for {STALL_NS // SECOND_NS} s: the recorder stopped or no link sends data"
         )
         return replace(raised(state, "bad", "", text, look.time_ns, "log"), stalled=True)
     return state
@@ -170,7 +170,7 @@ def receiver_after(
     worth, expected = WORTH.get(fix, 0), WORTH.get(now.expected, 0)
     if worth < expected and expected >= LEAST_WORTH:
         level = "bad" if worth < LEAST_WORTH else "warn"
-        text = f"fix fell from {NAMES[now.expected]} to {NAMES.get(fix, fix)}"
+        text = f"fix dropped from {NAMES[now.expected]} to {NAMES.get(fix, fix)}"
         return replace(now, expected=fix), [(level, text)]
     if worth < expected:
         return replace(now, expected=fix), []
@@ -195,5 +195,5 @@ def fed(receiver: ReceiverState, age_s: float | None) -> tuple[ReceiverState, li
             ("bad", f"has corrections older than {DEAD_CORRECTION_S:g} s")
         ]
     if receiver.starved and age_s <= OLD_CORRECTION_S:
-        return replace(receiver, starved=False), [("note", "has fresh corrections again")]
+        return replace(receiver, starved=False), [("note", "has recent corrections again")]
     return receiver, []

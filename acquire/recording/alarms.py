@@ -153,5 +153,5 @@ def flood_text(inbox: Inbox) -> str:
         limit = f"more data arrive than the {MOST_BYTES_S / 1e6:g} MB/s that can be recorded"
     if inbox.dropped or inbox.missed:
         lost = f"{inbox.missed} datagrams" if inbox.missed else f"{inbox.dropped} bytes"
-        return f"{limit}: {lost} could not be kept so far"
+        return f"{limit}: {lost} could not be recorded so far"
     return f"{limit}: the sender must wait"

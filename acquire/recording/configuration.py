@@ -163,6 +163,6 @@ def read_configuration(path: Path) -> RecordingConfiguration:
         for key, name, remedy in named:
             if name not in others:
                 raise ConfigurationError(
-                    f"{link.name}.{key} names {name!r}, which is no other link", where=path, remedy=remedy
+                    f"{link.name}.{key} names {name!r}, which is not another link", where=path, remedy=remedy
                 )
     return configuration

@@ -194,7 +194,7 @@ class DeviceLine:
         texts = [
             f"does not accept the data sent to it: {unsent} frames (corrections, answers) "
             "refused or too old so far" + (f" ({self._port.failure})" if self._port.failure else ""),
-            f"gets its answers too late: {self._talk.dropped} of its pieces or corrections too old so far",
+            f"receives its answers too late: {self._talk.dropped} fragments or corrections too old so far",
             f"does not answer commands, its data are recorded: {self._talk.failure}",
         ]
         changed = [text for text, now, then in zip(texts, state, before, strict=True) if now != then]

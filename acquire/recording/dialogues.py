@@ -91,7 +91,7 @@ class ReceiverDialogue:
                 if self._losses < _LOSSES:
                     return
                 raise DeviceError(
-                    f"the receiver acknowledged the configuration of {current.what} and lost it"
+                    f"the receiver acknowledged the configuration of {current.what} but did not keep it"
                 )
             self._steps.pop(0)
             self._losses = 0
@@ -181,7 +181,7 @@ class VehicleDialogue:
         mentioned = kind in self._too_long
         self._too_long.add(kind)
         limit = FRAGMENT_BYTES * FRAGMENTS
-        words = f"does not get RTCM {kind}: {len(message)} bytes, at most {limit} can be carried"
+        words = f"does not get RTCM {kind}: {len(message)} bytes, at most {limit} can be sent"
         return [], "" if mentioned else words
 
     def _answer_timesync(self, batch: Batch | None, clock_ns: int) -> list[bytes]:
@@ -227,7 +227,7 @@ class VehicleDialogue:
         self._unread = [name for name in self._unread if name not in self._read]
         if not self._unread:
             self._unread = None
-            notes.append(f"tells {len(self._read)} parameters: acquire info shows those of its mounting")
+            notes.append(f"reports {len(self._read)} parameters: acquire info shows those of its mounting")
             return []
         system, component = self._target or (0, 0)
         name = self._unread.pop(0)

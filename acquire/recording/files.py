@@ -329,7 +329,7 @@ class LogFiles:
             text = f"{gone} {what} while it was written, recording continues in {following.path}"
             return [*notices, ("file_gone", text)]
         # What has no name can still be written: it is tried again with the next flush.
-        return [("file_gone", f"{gone} was deleted or moved, and no new file can be made: look at the disk")]
+        return [("file_gone", f"{gone} was deleted or moved, and no new file can be made: check the disk")]
 
     def _rescue(self, file: OpenFile, folder: Path) -> list[Notice]:
         """Copy a file that has lost its name to a new one in a thread of its own."""
@@ -419,7 +419,7 @@ class LogFiles:
         """Look for a place when it is time for that."""
         if self._again_s is not None and self._steady_s() < self._again_s:
             return []
-        return self._move(OSError(errno.ENOSPC, "no room yet"))
+        return self._move(OSError(errno.ENOSPC, "no free space yet"))
 
     def _tell_left_out(self, *, last: bool = False) -> list[Notice]:
         """Tell once what is left out, and how much it was at the end."""

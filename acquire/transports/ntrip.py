@@ -211,7 +211,7 @@ def _head(line: socket.socket, patience: Patience) -> tuple[bytes, bytes]:
             return first, b""
         piece = _patiently(line, lambda: line.recv(PIECE_BYTES), patience)
         if not piece or len(data) > _LONGEST_HEAD:
-            raise LinkLostError("the server does not answer like a caster")
+            raise LinkLostError("the server does not answer as an NTRIP caster does")
         data += piece
 
 

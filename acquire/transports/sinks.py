@@ -77,7 +77,7 @@ class UdpSink:
         until = time.monotonic() + PATIENCE_S
         while self._look() > _IN_FLIGHT:
             if time.monotonic() > until:
-                raise DeviceError(f"the reader has accepted no data for {PATIENCE_S:.0f} s", "look at it")
+                raise DeviceError(f"the reader has accepted no data for {PATIENCE_S:.0f} s", "check it")
             time.sleep(0.001)
 
     def _look(self) -> int:
@@ -116,7 +116,7 @@ class _TcpSink:
             self._port.sendall(frame)
         except OSError as failure:
             raise DeviceError(
-                f"the reader has gone ({failure.strerror or failure})", "start reader and replay again"
+                f"the reader was closed ({failure.strerror or failure})", "start reader and replay again"
             ) from failure
 
 

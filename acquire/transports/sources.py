@@ -140,7 +140,7 @@ def _of_port(failure: Exception) -> str:
     if number == errno.ENOENT:
         return "there is no such port: is the device plugged in?"
     if number in (errno.EACCES, errno.EPERM):
-        return "the port may not be opened: photocal doctor says how"
+        return "no permission to open the port: photocal doctor shows the remedy"
     # What pySerial passes on begins with the number that the system gave.
     return re.sub(r"\[Errno \d+\] ", "", str(failure))
 

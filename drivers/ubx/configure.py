@@ -29,8 +29,8 @@ def read_version(payload: bytes) -> tuple[int, str]:
         protocol = re.search(r"PROTVER[ =]([0-9.]+)", " ".join(extensions))
         raise DeviceError(
             f"the receiver (hardware {hardware or 'unknown'}, software {software or 'unknown'}, protocol "
-            f"{protocol[1] if protocol else 'unknown'}) is of no generation that can be configured: "
-            "8, 9 and 10 are",
+            f"{protocol[1] if protocol else 'unknown'}) cannot be configured: "
+            "only generations 8, 9 and 10 can",
             "configure it with u-center and leave [link.ublox] out",
         )
     return generation, software

@@ -141,7 +141,7 @@ def _columns(table: TextTable) -> tuple[dict[str, str], dict[str, float]]:
             raise malformed(f"unknown column {title!r}", remedy)
         name, unit = match["name"].replace("correction_", "d"), match["unit"]
         if name in titles:
-            raise malformed(f"column {name} stands twice", "keep one")
+            raise malformed(f"column {name} appears twice", "keep one")
         if unit is not None and (unit not in _METRES or name == "point"):
             raise malformed(f"unknown unit {unit!r} of column {title!r}", f"known are {', '.join(_METRES)}")
         titles[name], factors[name] = title, _METRES[unit or "m"]

@@ -302,13 +302,12 @@ def read_moments(path: Path) -> dict[str, dict[str, statistics.Moments]]:
     if form is None:
         raise InputMalformedError("has no moments", "give mean_m and std_m, or rmse_m and t", where=path)
     n = rows.numbers("n")
-    refuse(rows, ~((n >= 2) & (n == np.round(n))), "n is no number of two or more points", "write it")
+    refuse(rows, ~((n >= 2) & (n == np.round(n))), "n is not a whole number of at least 2", "correct it")
     which, kinds = rows.names("component")
     refuse(rows, np.array([kinds[k] not in COMPONENTS for k in which]), "component is not known", "E, N or h")
     first, second = (rows.numbers(name) for name in form)
-    refuse(
-        rows, (second if form == _FORMS[0] else first) < 0.0, f"{form[0]} and {form[1]} cannot be", "correct"
-    )
+    spread = form[1] if form == _FORMS[0] else form[0]
+    refuse(rows, rows.numbers(spread) < 0.0, f"{spread} is negative", "correct it")
     pairs = zip(first.tolist(), second.tolist(), n.tolist(), strict=True)
     made = [_of_mean(*row) if form == _FORMS[0] else _of_rmse(*row) for row in pairs]
     return _by_set(rows, [kinds[k] for k in which], made, path)
@@ -332,7 +331,7 @@ def _by_set(
     for row, (name, component, one) in enumerate(zip(sets, components, made, strict=True)):
         of_set = answer.setdefault(name, {})
         if component in of_set:
-            raise InputMalformedError(f"{component} stands twice", "keep one", where=rows.place(row))
+            raise InputMalformedError(f"{component} appears twice", "keep one", where=rows.place(row))
         of_set[component] = one
     for name, of_set in answer.items():
         if ("E" in of_set) != ("N" in of_set):

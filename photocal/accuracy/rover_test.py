@@ -37,7 +37,7 @@ def read_sets(path: Path) -> Sets:
     which, points = table.names("point")
     wrong = InputMalformedError.at(path)
     if len(points) != POINTS:
-        raise wrong(f"has {len(points)} rover points", "the test is of two")
+        raise wrong(f"has {len(points)} rover points", "the test needs two")
     xyz = table.matrix(("E", "N", "h"))
     keys = list(zip(table.texts("series"), table.texts("set"), strict=True))
     sets = tuple(dict.fromkeys(keys))

@@ -91,7 +91,7 @@ class LimitTable(Table):
         # Millimetres at map scale become metres on the ground at a denominator of 1.
         factor = Fraction(1, 1000) if self.basis == "scale" else Fraction(1)
         if list(self.pec) != list(self.ep):
-            raise ValueError(f"pec and ep of {self.product!r} have not the same classes")
+            raise ValueError(f"pec and ep of {self.product!r} do not have the same classes")
         return tuple(
             ClassLimit(name, _metres(pec, factor), _metres(self.ep[name], factor))
             for name, pec in self.pec.items()

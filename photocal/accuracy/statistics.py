@@ -366,7 +366,7 @@ def similarity_trend(positions_m: Floats, discrepancies_m: Floats) -> Similarity
     reduced = positions_m - positions_m.mean(axis=0)
     inertia = float(np.sum(reduced**2))
     if inertia == 0.0:
-        raise IllPosedError("all check points have the same coordinates", "look at the columns E and N")
+        raise IllPosedError("all check points have the same coordinates", "check the columns E and N")
     shift = discrepancies_m.mean(axis=0)
     east, north = reduced.T
     scale = float(np.sum(reduced * discrepancies_m)) / inertia

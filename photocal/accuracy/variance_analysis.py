@@ -57,11 +57,11 @@ def analyse_variance(factors: Mapping[str, Sequence[str]], values: Floats) -> tu
     levels = {name: np.unique(given, return_inverse=True)[1] for name, given in factors.items()}
     levels = {name: level for name, level in levels.items() if level.max(initial=0) > 0}
     if not levels:
-        raise ConfigurationError("no factor varies", "give two levels of one at least")
+        raise ConfigurationError("no factor varies", "give at least two levels of one factor")
     if not np.isfinite(values).all():
         raise ConfigurationError("values are missing", "give a number in each row, or take the row out")
     if not np.ptp(values):
-        raise ConfigurationError("all values are equal", "there is no variance to be parted")
+        raise ConfigurationError("all values are equal", "give values that differ")
     count = len(values)
     cells = _joined(list(levels.values()))
     number = np.bincount(cells)

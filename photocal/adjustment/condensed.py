@@ -66,7 +66,7 @@ class Condensed:
         try:
             covariance[square] = np.linalg.inv((self.matrix - there.weight + here.weight)[square])
         except np.linalg.LinAlgError:
-            raise IllPosedError("the observations do not determine what all images share") from None
+            raise IllPosedError("the observations do not determine what is common to all images") from None
         return covariance
 
 

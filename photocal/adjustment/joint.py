@@ -31,7 +31,7 @@ def joint_covariance(at: Factored, chosen: Sequence[tuple[str, str]]) -> tuple[t
         functions = _functions(at, columns, kind, name)
         if not functions:
             raise ConfigurationError(
-                f"{kind} {name} is no unknown of this adjustment".replace("  ", " "),
+                f"{kind} {name} is not an unknown of this adjustment".replace("  ", " "),
                 "name image:NAME, camera:ID, head:CAMERA, point:NAME or mounting",
             )
         named += [unknown for unknown, _, _ in functions]

@@ -33,9 +33,9 @@ def state_without(removals: Removals, out: Flags) -> State:
     """
     found = removals.without(out, NEAR)
     if found is None:
-        raise IllPosedError(f"nothing determines the block without {int(out.sum())} of {len(out)} images")
+        raise IllPosedError(f"the block is not determined without {int(out.sum())} of {len(out)} images")
     if not np.isfinite(found.chi_squared):
-        raise NotConvergedError(f"a step without {int(out.sum())} of {len(out)} images leads behind a camera")
+        raise NotConvergedError(f"without {int(out.sum())} of {len(out)} images a point is behind a camera")
     return found.state
 
 

@@ -85,7 +85,7 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
         accepted = (accepted & ~wrong) | again
     raise NotConvergedError(
         f"data snooping still finds gross errors after {most_rounds} rounds",
-        "look at the images with the largest residuals; whole images may be wrong",
+        "check the images with the largest residuals; whole images may be wrong",
     )
 
 

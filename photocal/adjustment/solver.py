@@ -303,11 +303,11 @@ def _ended(problem: Problem, state: State, steps: list[Iteration], limits: RankL
         load = np.abs(step) * size * np.array([unknown is not None for unknown in named])
         largest = (named[k] for k in np.argsort(-load)[:3] if load[k] > 0)
         some = ", ".join(unknown.name for unknown in largest if unknown is not None)
-        moving = f": {some} would still move" if some else ""
+        moving = f": {some} still changing" if some else ""
     raise NotConvergedError(
         f"not converged after {len(steps)} iterations (last step {np.sqrt(decrement):.2g} sigma){moving}",
-        "check the start values of images and points, their units and axes, for gross errors, and "
-        "whether other observations should hold what moves",
+        "check start values, units and axes of images and points, look for gross errors, and add "
+        "observations that determine what still changes",
     )
 
 
@@ -320,7 +320,7 @@ def _explain_behind(problem: Problem, state: State) -> None:
     points, images = problem.network.point_names, problem.network.image_names
     some = ", ".join(f"{points[rays.point[r]]} of {images[rays.image[r]]}" for r in behind[:3])
     raise NotConvergedError(
-        f"{len(behind)} ray(s) come from a point behind the camera ({some}), and no step brings it before it",
+        f"{len(behind)} ray(s) come from a point behind the camera ({some}), also after all iterations",
         "correct the start values of these images or points, or leave them out to be computed",
     )
 
@@ -380,7 +380,7 @@ def gradient(problem: Problem, state: State, equations: list[Equations]) -> tupl
     totals, reduced, points = np.zeros(threads), np.zeros((threads, layout.size)), np.zeros_like(state.points)
     pulls(design, values_of(problem, state), structure, totals, reduced, points)
     if not np.all(np.isfinite(totals)):
-        raise NotConvergedError("a point came to lie behind a camera", "look at the start values")
+        raise NotConvergedError("a point came to lie behind a camera", "check the start values")
     off = state.points - design.prior_points
     pull = np.einsum("nab,nb->na", design.prior_weight, off)
     points += pull * design.point_free

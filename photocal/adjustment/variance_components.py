@@ -99,8 +99,8 @@ def estimate_components(
             factors[name] = factors.get(name, 1.0) * float(np.sqrt(share))
             if factors[name] ** 2 < vanished:
                 raise IllPosedError(
-                    f"the variance of group {name} runs to zero",
-                    "hold its standard deviation: its residuals do not show it",
+                    f"the variance of group {name} tends to zero",
+                    "hold its standard deviation: its residuals do not determine it",
                     where=f"group {name}",
                 )
     raise NotConvergedError(

@@ -221,7 +221,7 @@ def _matrix(path: Path) -> Estimates:
     malformed = InputMalformedError.at(path)
     if names != head[1:] or not np.allclose(matrix, matrix.T, rtol=1e-6, atol=0.0):
         raise malformed(
-            "is no symmetric matrix with the same names in its head and its first column",
+            "is not a symmetric matrix with the same names in its head and its first column",
             "give every row in full",
         )
     if not (np.diag(matrix) > 0.0).all():

@@ -135,5 +135,5 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _finite(text: str) -> float:
     number = float(text)
     if not math.isfinite(number):
-        raise ValueError(f"contains {text} where a number must stand")
+        raise ValueError(f"contains {text} where a number is expected")
     return number

@@ -2,7 +2,7 @@
 
 People's files (TOML) are pydantic tables (`photocal.base.checked_toml`): what reads them also writes them,
 with tomlkit, which keeps the comments of a file that is written again. Our own JSON is read back by the
-annotations of the dataclasses: they hold numpy arrays, and null stands for NaN where a number must stand,
+annotations of the dataclasses: they hold numpy arrays, and null stands for NaN where a number is expected,
 which pydantic, msgspec and cattrs would each have to be taught for every class.
 """
 
@@ -39,9 +39,9 @@ def toml_document(path: Path) -> tomlkit.TOMLDocument:
     try:
         return tomlkit.parse(path.read_text(encoding="utf-8-sig"))
     except OSError as refusal:
-        raise InputNotFoundError("cannot be read", "look at the folder first", where=path) from refusal
+        raise InputNotFoundError("cannot be read", "check the folder first", where=path) from refusal
     except (TOMLKitError, UnicodeDecodeError) as refusal:
-        raise InputMalformedError(f"is no TOML ({refusal})", "correct it", where=path) from refusal
+        raise InputMalformedError(f"is not TOML ({refusal})", "correct it", where=path) from refusal
 
 
 def toml_text(content: BaseModel | Mapping[str, Any], comment: str = "") -> str:
@@ -100,7 +100,7 @@ def parsed_json(path: Path, remedy: str) -> Any:
     if not path.is_file():
         raise InputNotFoundError("does not exist", remedy, where=path)
     if path.stat().st_size > LARGEST_JSON:
-        raise InputMalformedError("is no JSON of ours: it is too large", remedy, where=path)
+        raise InputMalformedError("is not a JSON file of photocal: it is too large", remedy, where=path)
     try:
         text = path.read_text(encoding="utf-8")
         if not text.strip():
@@ -133,7 +133,7 @@ def object_of(
 def from_plain(kind: Any, value: Any, place: str = "", null: float | None = math.nan) -> Any:
     """Read back what `photocal.base.arrays.as_plain` gave, as its annotation says; unknown keys are left out.
 
-    null: what null stands for where a number must stand; None: it may not stand there.
+    null: what null stands for where a number is expected; None: it may not stand there.
 
     raises ValueError: names the place of what does not fit.
     """
@@ -170,7 +170,7 @@ def _scalar(kind: Any, value: Any, place: str, null: float | None) -> Any:
         return value
     if isinstance(kind, type) and kind not in _JSON_KINDS:
         return _checked(kind, value, place)
-    raise ValueError(f"{place.lstrip('.')}: {str(value)[:40]!r} stands where {_expected(kind)} is expected")
+    raise ValueError(f"{place.lstrip('.')}: {str(value)[:40]!r} found where {_expected(kind)} is expected")
 
 
 def _checked(kind: Any, value: Any, place: str) -> Any:

@@ -314,7 +314,7 @@ def write_through(stream: TextIO, text: str) -> None:
     while left:
         written = raw.write(left)
         if written is None:
-            raise BlockingIOError("takes nothing now")
+            raise BlockingIOError("accepts no output now")
         left = left[written:]
 
 

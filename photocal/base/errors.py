@@ -53,7 +53,7 @@ class InputNotFoundError(PhotocalError):
 
 
 @contextmanager
-def reading(path: object, remedy: str = "check name and rights") -> Iterator[None]:
+def reading(path: object, remedy: str = "check name and permissions") -> Iterator[None]:
     """Say in one line why something cannot be read; raises InputNotFoundError."""
     try:
         yield
@@ -132,11 +132,11 @@ def of_system(refusal: OSError, written: Path | None = None) -> PhotocalError:
     """
     number, file, reason = _told(refusal)
     if number in _WRITING or (written is not None and not file):
-        remedy = "make room on the disk, then do it again" if number in _NO_ROOM else "check place and rights"
+        remedy = "free disk space and try again" if number in _NO_ROOM else "check path and permissions"
         return OutputError(f"cannot be written ({reason})", remedy, where=file or written)
     if file:
-        return InputNotFoundError(f"cannot be opened ({reason})", "check name and rights", where=file)
-    return DeviceError(f"the system refuses what is needed ({reason})", "is a device or a port in use?")
+        return InputNotFoundError(f"cannot be opened ({reason})", "check name and permissions", where=file)
+    return DeviceError(f"the operating system refuses the access ({reason})", "is a device or a port in use?")
 
 
 def _told(refusal: OSError) -> tuple[int | None, str, str]:

@@ -31,7 +31,7 @@ def brought(group: str, kind: type[Kind]) -> dict[str, Kind]:
             reason = f"{type(failure).__name__}: {failure}"
             raise wrong(f"the {what} {entry.name} cannot be loaded ({reason})", remedy) from failure
         if not isinstance(loaded, kind):
-            raise wrong(f"the {what} {entry.name} is no {kind.__module__}.{kind.__qualname__}", remedy)
+            raise wrong(f"the {what} {entry.name} is not a {kind.__module__}.{kind.__qualname__}", remedy)
         found[entry.name] = loaded
     return found
 

@@ -61,7 +61,7 @@ def picture_kind(path: Path) -> str:
     """Give the kind of a picture by its ending; raises ConfigurationError for one that is not made."""
     kind = path.suffix.lower()[1:]
     if kind not in _PICTURES:
-        raise ConfigurationError(f"{path} has no known ending", "use .pdf, .svg or .png")
+        raise ConfigurationError(f"{path} has no known extension", "use .pdf, .svg or .png")
     return kind
 
 

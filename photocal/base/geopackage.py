@@ -108,7 +108,7 @@ def geopackage(path: Path, system: ReferenceSystem) -> Iterator[sqlite3.Connecti
             database.commit()
     except sqlite3.OperationalError as failure:
         # A full disk, first of all; what is written aside has its name from here.
-        remedy = "make room on the disk, then do it again"
+        remedy = "free disk space and try again"
         raise OutputError(f"cannot be written ({failure})", remedy, where=path) from failure
 
 

@@ -100,7 +100,7 @@ else:
         except OSError as refusal:
             raise DeviceError(
                 f"this system gives no pseudo terminal ({refusal.strerror})",
-                "mount devpts on /dev/pts, as containers and systems do on their own",
+                "mount devpts on /dev/pts, as complete systems and containers do",
             ) from refusal
         tty.setraw(theirs)
         return ours, theirs, os.ttyname(theirs)

@@ -156,7 +156,7 @@ def object_of_file(kind: type[Kind], path: Path) -> Kind:
         made: Kind = _made(kind, table, content, "")
     except (pa.ArrowException, OSError, ValueError, LookupError, TypeError) as damage:
         reason = (str(damage).splitlines() or [type(damage).__name__])[0]
-        raise InputMalformedError(f"is no table of ours ({reason})", _AGAIN, where=path) from damage
+        raise InputMalformedError(f"is not a table of photocal ({reason})", _AGAIN, where=path) from damage
     return made
 
 

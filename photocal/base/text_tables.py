@@ -331,9 +331,9 @@ def _cut(path: Path, message: str) -> InputMalformedError:
         row, expected, got = match.groups()
         return InputMalformedError(
             f"has {got} cells where the header has {expected}",
-            "are these decimal commas? Then separate the cells by semicolons"
+            "are these decimal commas? If so, separate the cells by semicolons"
             if int(got) > int(expected)
-            else "complete the row, or is the table cut?",
+            else "complete the row, or is the table truncated?",
             where=f"{path}, row {row}",
         )
     return InputMalformedError(
@@ -342,7 +342,7 @@ def _cut(path: Path, message: str) -> InputMalformedError:
 
 
 def _refuse_cut_end(table: TextTable) -> None:
-    """Refuse a table that seems cut inside its last cell."""
+    """Refuse a table that seems truncated inside its last cell."""
     # Without a final line end the last number may have lost digits. That is taken for granted when it has
     # fewer decimals, or fewer digits, than every other number of its column, or ends where no number ends.
     with table.path.open("rb") as text:
@@ -359,7 +359,7 @@ def _refuse_cut_end(table: TextTable) -> None:
     ]
     if cells[-1][-1] in ".eE+-" or any(shorter):
         raise InputMalformedError(
-            "seems cut inside its last cell (no line end, fewer digits than in all other rows)",
+            "seems truncated inside its last cell (no line end, fewer digits than in all other rows)",
             "end the last line with a line end if it is complete",
             where=table.place(len(table) - 1),
         )

@@ -95,7 +95,7 @@ class Address:
         except OSError as refusal:
             listener.close()
             raise ConfigurationError(
-                f"cannot be listened on ({(refusal.strerror or str(refusal)).lower()})",
+                f"cannot be used for listening ({(refusal.strerror or str(refusal)).lower()})",
                 "choose another port, or 0 for any that is free",
                 where=str(self),
             ) from refusal
@@ -121,7 +121,7 @@ def read_address(text: str) -> Address:
     bracketed = host.startswith("[") and host.endswith("]")
     if not colon or not bare or (":" in bare) != bracketed or not port.isdecimal() or int(port) > 65535:
         raise ConfigurationError(
-            "is no HOST:PORT", "use for example 127.0.0.1:8740 or [::1]:8740", where=text
+            "is not of the form HOST:PORT", "use for example 127.0.0.1:8740 or [::1]:8740", where=text
         )
     return Address(bare, int(port))
 
@@ -428,7 +428,7 @@ async def json_body(request: Request) -> bytes:
     """Read the body of a request; raises ConfigurationError when it is too long or no JSON."""
     # A form of another site cannot have this type.
     if request.headers.get("content-type") != "application/json":
-        raise ConfigurationError("the request is no JSON", "use the page")
+        raise ConfigurationError("the request is not JSON", "use the page")
     longest_request = 10_000
     return await short_body(request, longest_request)
 

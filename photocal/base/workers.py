@@ -34,7 +34,7 @@ def run_tasks(
 ) -> Iterator[Result]:
     """Do a piece of work for each task, and tell `done` when its result was taken.
 
-    raises ProgramMissingError: when a worker process died, for want of memory as a rule.
+    raises ProgramMissingError: when a worker process died, for lack of memory as a rule.
     raises DeviceError: when a cluster does not answer.
     """
     results: Iterable[Result]
@@ -94,7 +94,7 @@ def _on_processes(
                 yield waiting.popleft().result()
         except (BrokenPipeError, BrokenExecutor) as death:
             raise ProgramMissingError(
-                "a worker process died, probably for want of memory",
+                "a worker process died, probably for lack of memory",
                 "use fewer workers (--workers 1); finished images are not computed again",
             ) from death
         finally:
@@ -134,9 +134,9 @@ def protected(address: str) -> str:
     if scheme == "tls" or here:
         return address
     raise ConfigurationError(
-        "the scheduler is on another computer and the connection is not protected: it, and who listens, "
-        "may run what they like",
-        f"start it with TLS (tls://HOST:PORT), or say {_UNPROTECTED}tcp://{place} in a network you trust",
+        "the scheduler is on another computer and the connection is not protected: the scheduler, and "
+        "anyone who intercepts the connection, can run any program here",
+        f"start it with TLS (tls://HOST:PORT), or write {_UNPROTECTED}tcp://{place} in a network you trust",
         where=address,
     )
 
@@ -224,7 +224,7 @@ class Cluster:
                 # KilledWorker, FutureCancelledError, CommClosedError: the machines, not the task.
                 raise DeviceError(
                     f"the cluster was lost ({type(failure).__name__})",
-                    "look at its workers' memory and start again; what was finished is kept",
+                    "check the memory of its workers and start again; what was finished is kept",
                     where=self.address,
                 ) from failure
 

@@ -212,7 +212,7 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
     for name, deviation in keys.photo_variant.items():
         if deviation == "free" and name in keys.estimate and name not in weighted:
             raise wrong(
-                f"{name} is free in every image: its value for the camera is then none",
+                f"{name} is free in every image, so the camera has no common value",
                 "take it out of estimate, or give photo_variant a standard deviation",
             )
     rolling, varies = made.shutter == "rolling", "readout" in keys.photo_variant
@@ -246,8 +246,8 @@ def with_prior(keys: CameraKeys, where: object) -> CameraKeys:
         held = [name for name in taken["estimate"] if name not in keys.estimate]
         if held:
             raise wrong(
-                f"estimate lacks {held[0]}, whose errors those of the others depend on",
-                "estimate all that prior_from knows, or leave estimate out",
+                f"estimate lacks {held[0]}, correlated with the others",
+                "estimate all parameters of prior_from, or leave estimate out",
             )
         taken["estimate"] = keys.estimate
     return CameraKeys.model_validate({**keys.model_dump(by_alias=False), **taken, "prior_from": ""})
@@ -267,7 +267,7 @@ def _require(keys: CameraKeys, wrong: Callable[..., ConfigurationError]) -> None
         unknown = [name for name in names if name not in lens.names]
         if unknown:
             raise wrong(
-                f"{section} names {unknown[0]}, which is no camera parameter of {keys.model}",
+                f"{section} names {unknown[0]}, which is not a camera parameter of {keys.model}",
                 f"use {', '.join(lens.names)}",
             )
     if lens.relative and (keys.R0 or keys.focus or keys.affinity not in (None, "after")):
@@ -440,9 +440,9 @@ def _focused(keys: CameraKeys, place: str, interior: Camera) -> Camera:
     if not keys.focus.calibrations:
         return interior
     if len(keys.focus.calibrations) != 2 or distances[1] == distances[2]:
-        raise wrong("calibrations must be two, at different distances", "give distance_m and K1..")
+        raise wrong("give two calibrations, at different distances", "give distance_m and K1..")
     if any(name in RADIAL for name in keys.parameters):
-        raise wrong("K1 to K4 stand in parameters and in calibrations", "remove one of them")
+        raise wrong("K1 to K4 are given in parameters and in calibrations", "remove one of them")
     near, far = (
         replace(interior.changed(**{k: getattr(focus, k) for k in RADIAL}), focus_m=focus.distance_m)
         for focus in sorted(keys.focus.calibrations, key=lambda calibration: calibration.distance_m)

@@ -214,7 +214,7 @@ def _priors(folder: Path, setup: Setup) -> list[str]:
         if not path.resolve().is_relative_to(folder.resolve()):
             raise ConfigurationError(
                 f"prior_from of camera {keys.id} lies outside of the block folder",
-                "copy that result.json into the folder, so that it goes along with the block",
+                "copy that result.json into the folder, so that the block is complete",
                 where=folder / SETUP,
             )
         names.append(path.resolve().relative_to(folder.resolve()).as_posix())
@@ -329,7 +329,7 @@ def read_relations(path: Path, kind: str, points: tuple[str, ...], known: str = 
     sigma = table.numbers("sigma")
     value = np.zeros(len(sigma)) if kind == "line" else table.numbers("value")
     same = (np.diff(np.sort(ends, axis=0), axis=0) == 0).any(axis=0)
-    refuse(table, same, "the same point stands there twice", f"name {len(columns)} points")
+    refuse(table, same, "the same point is named twice", f"name {len(columns)} points")
     refuse(table, sigma <= 0, "sigma is not positive", "give a standard deviation")
     refuse(table, (value <= 0) & (kind == "distance"), "the distance is not positive", "correct it")
     code = np.full(len(value), list(RELATIONS).index(kind))
@@ -346,7 +346,7 @@ def read_lasers(
         return NO_LASERS
     if keys is None:
         raise ConfigurationError(
-            f"{path.name} needs what its distances have in common",
+            f"{path.name} needs the errors common to its distances",
             "give [laser] with offset_sigma_m and scale_sigma in block.toml",
             where=path.parent / SETUP,
         )
@@ -355,7 +355,7 @@ def read_lasers(
     corners = np.column_stack([known_rows(table, corner, points, "points.csv") for corner in CORNERS])
     value, sigma = table.numbers("value"), table.numbers("sigma")
     same = (np.diff(np.sort(corners, axis=1), axis=1) == 0).any(axis=1)
-    refuse(table, same, "the same point stands there twice", "name three points about the target")
+    refuse(table, same, "the same point is named twice", "name three points about the target")
     refuse(table, value <= 0, "the distance is not positive", "correct it")
     refuse(table, sigma <= 0, "sigma is not positive", "give a standard deviation")
     offset = np.inf if keys.offset_sigma_m == "free" else keys.offset_sigma_m

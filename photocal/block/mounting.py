@@ -99,10 +99,10 @@ def mounting_keys(given: mounting.Mounting, positions: mounting.Positions) -> Mo
     strips = given.sigma[mounting.STRIPS :].reshape(-1, 2, 3)
     cannot = OutputError.at("[mounting]")
     if x is None or y is None or z is None:
-        raise cannot("the camera's axes are not along those of the body", "turn the rest into the boresight")
+        raise cannot("the camera's axes are not along those of the body", "put the rest into the boresight")
     if given.values[mounting.OF_FLIGHT].any() or given.values[mounting.STRIPS :].any():
         raise cannot(
-            "a shift of the flight or of a strip does not begin at zero", "take it off the positions"
+            "a shift of the flight or of a strip does not begin at zero", "subtract it from the positions"
         )
     if len(strips) and (strips != strips[0]).any():
         raise cannot("strips have different sigmas", "give all strips the same")
@@ -137,7 +137,7 @@ def _from_m(positions: mounting.Positions, *, needed: bool) -> float | None:
     if np.allclose(height - rough, above, rtol=0.0, atol=1e-6):
         return rough
     if needed:
-        what = "heights above the base station are not those of the positions less one height"
+        what = "heights above the base station do not differ from those of the positions by a constant"
         raise OutputError(what, "give the height of the base station's antenna", where="[mounting]")
     return None
 

@@ -31,7 +31,7 @@ class BlockKeys(Table):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         if self.curvature and self.frame != "local":
-            raise ValueError("a coordinate system knows that the earth is curved: leave curvature out")
+            raise ValueError("a coordinate system contains the earth's curvature: leave curvature out")
         return self
 
 
@@ -51,9 +51,7 @@ class ObservationKeys(Table):
     @model_validator(mode="after")
     def _read_once(self) -> Self:
         if self.repetition is not None and self.rejection_limit is not None:
-            raise ValueError(
-                "repetition says how readings agreed of which means stand here: no rejection_limit"
-            )
+            raise ValueError("repetition is for means of several readings: leave rejection_limit out")
         return self
 
 

@@ -60,7 +60,7 @@ def write_block(folder: Path, block: Block) -> None:
     except ValidationError as failure:
         first = failure.errors()[0]
         place = ".".join(map(str, first["loc"]))
-        raise OutputError(f"{place}: {first['msg']}", "no block folder can hold that", where=folder) from None
+        raise OutputError(f"{place}: {first['msg']}", "correct the value", where=folder) from None
     tables = _tables(block)
     with output_folder(folder) as aside:
         (aside / SETUP).write_text(text, encoding="utf-8", newline="\n")
@@ -118,7 +118,7 @@ def _tables(block: Block) -> dict[str, dict[str, Any]]:
         f"observations.{kind}": rays,
     }
     if block.relations.further:
-        raise OutputError("has observations between points of a kind of your own", "leave them out")
+        raise OutputError("has observations of a user-defined kind", "leave them out")
     for code, relation in enumerate(RELATIONS):
         if (block.relations.kind == code).any():
             of_kind = block.relations.rows(block.relations.kind == code)

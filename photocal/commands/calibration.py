@@ -71,7 +71,7 @@ def adjust(
         raise ConfigurationError(f"--snoop {snoop} is not known", "use w or tau")
     test = cast("Literal['w', 'tau'] | None", snoop or None)
     if ellipses is not None and not 0 < ellipses < 1:
-        raise ConfigurationError(f"--ellipses {ellipses:g} is no probability", "give 0.95 for 95 %")
+        raise ConfigurationError(f"--ellipses {ellipses:g} is not a probability", "give 0.95 for 95 %")
     wanted = Wanted(ellipses, reliability, components, parse_joint(joint))
     compile_ahead()
     result = adjust_block(block, output, test, iteration_lines("adjusting"), wanted, read_any_block)

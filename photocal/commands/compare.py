@@ -124,10 +124,10 @@ def _flights(paths: list[Path], *, exchange: bool) -> tuple[Calibrated, ...]:
         return read_calibrated(paths)
     if len(paths) > 1:
         raise ConfigurationError(
-            "a file of cameras stands alone", "name it, or runs and projects only", where=paths[0]
+            "a file of cameras is given alone", "name it, or only runs and projects", where=paths[0]
         )
     if exchange:
         raise ConfigurationError(
-            "cameras alone have no flights to be used in", "name runs or projects", where="--exchange"
+            "a file of cameras has no flights to exchange", "name runs or projects", where="--exchange"
         )
     return ()

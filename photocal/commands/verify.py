@@ -56,12 +56,12 @@ def keys(
             last_day = None if expires is None else dt.date.fromisoformat(expires)
         except ValueError:
             raise ConfigurationError(
-                f"{expires!r} is no day", "write YYYY-MM-DD", where="--expires"
+                f"{expires!r} is not a date", "write YYYY-MM-DD", where="--expires"
             ) from None
         new_key(new, passphrase, last_day)
     elif expires is not None:
         raise ConfigurationError(
-            "a key ends on the day it was made with", "name a new key by --new", where="--expires"
+            "only a new key gets a last day", "name the new key by --new", where="--expires"
         )
     key, known, revoked = own_key(), known_keys(), revoked_keys()
     fingerprint, folder = "" if key is None else key.fingerprint, str(settings_folder())
@@ -275,7 +275,7 @@ def _stamped(folder: Path, authorities: Path | None) -> "tuple[Stamped | None, l
     from photocal.report.signing import SIGNATURE, STAMP, stamped
 
     if not (folder / SIGNATURE).is_file():
-        return None, [f"{STAMP} stands without a signature"] if (folder / STAMP).exists() else []
+        return None, [f"{STAMP} has no signature beside it"] if (folder / STAMP).exists() else []
     try:
         return stamped(folder / SIGNATURE, authorities), []
     except InputMalformedError as refusal:

@@ -136,10 +136,10 @@ def simulated(plan: Path, output: Path, seed: int | None, speed: float) -> None:
     flight = output / "flight"
     shutil.rmtree(flight, ignore_errors=True)
     typer.echo(
-        "The flight is SIMULATED: terrain, vehicle, camera, satellites and wires are computed, truth aside."
+        "The flight is SIMULATED: terrain, vehicle, camera, satellites and links. Its truth is in truth/."
     )
     fly(plan, flight, seed)
-    typer.echo(f"flown in {time.monotonic() - began:.1f} s: pictures, and what goes over the wires")
+    typer.echo(f"flown in {time.monotonic() - began:.1f} s: pictures, and the data of the links")
     record(flight, speed)
     typer.echo(
         f"recorded at {speed:g} times real time by `acquire record`: {flight / 'site' / 'flight.mcap'}"
@@ -214,4 +214,4 @@ def _require(process: subprocess.Popen[str], limit: float, what: str) -> None:
 
 def _succeeded(process: subprocess.Popen[str], errors: str) -> None:
     if process.returncode != 0:
-        raise DeviceError(f"the recording failed ({errors.strip()})", "look at free ports and disk")
+        raise DeviceError(f"the recording failed ({errors.strip()})", "check free ports and disk space")

@@ -92,7 +92,7 @@ def written(path: Path | None, given: Mapping[str, str]) -> str:
     for name, text in given.items():
         section, _, key = name.partition(".")
         if key not in FORM.get(section, ()):
-            raise ConfigurationError(f"{name} is no particular of the form", "use the page")
+            raise ConfigurationError(f"{name} is not a particular of the form", "use the page")
         if section not in document:
             if not text.strip():
                 continue
@@ -158,7 +158,7 @@ def routes(desk: Desk) -> list[BaseRoute]:
     async def verified(request: Request) -> Response:
         """Answer what another certificate is worth."""
         if request.headers.get("content-type") != "application/zip":
-            raise ConfigurationError("is no zip of a certificate", "drop the zip that was sent")
+            raise ConfigurationError("is not a zip of a certificate", "drop the zip that was sent")
         return JSONResponse(await run_in_threadpool(verify, await short_body(request, _LONGEST_ZIP)))
 
     return [
@@ -322,7 +322,7 @@ def pack(desk: Desk) -> tuple[Path, str]:
 def verify(octets: bytes) -> dict[str, Any]:
     """Unpack a certificate aside and verify it; nothing of it stays.
 
-    raises InputMalformedError: for what is no zip of a certificate, or unpacks to more than any is.
+    raises InputMalformedError: for what is not a zip of a certificate, or unpacks to more than any is.
     """
     with tempfile.TemporaryDirectory() as folder:
         archive = Path(folder) / "sent.zip"
@@ -332,7 +332,7 @@ def verify(octets: bytes) -> dict[str, Any]:
             with zipfile.ZipFile(archive) as packed:
                 _unpack(packed, unpacked)
         except (zipfile.BadZipFile, NotImplementedError, RuntimeError) as refusal:
-            raise InputMalformedError(f"is no zip ({refusal})", "drop the zip that was sent") from refusal
+            raise InputMalformedError(f"is not a zip ({refusal})", "drop the zip that was sent") from refusal
         found = sorted(unpacked.rglob(_RECORD), key=lambda path: len(path.parts))
         if not found:
             raise InputMalformedError("has no certificate.json", "drop the zip of a certificate")
@@ -343,7 +343,7 @@ def _unpack(packed: zipfile.ZipFile, folder: Path) -> None:
     """Unpack files with names that stay inside, no more of them and no longer than a certificate has."""
     members = [member for member in packed.infolist() if not member.is_dir()]
     if len(members) > _MOST_FILES or sum(member.file_size for member in members) > _LONGEST_FILES:
-        raise InputMalformedError("unpacks to more than a certificate is", "ask the issuer for it")
+        raise InputMalformedError("is larger unpacked than a certificate can be", "ask the issuer for it")
     for member in members:
         path = PurePosixPath(member.filename)
         if path.is_absolute() or ".." in path.parts or "\\" in member.filename or ":" in member.filename:

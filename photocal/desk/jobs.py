@@ -46,7 +46,7 @@ def asked(arguments: Sequence[str | Path], environment: Mapping[str, str] | None
     )
     with contextlib.suppress(ValueError):
         return json.loads(done.stdout)
-    raise ConfigurationError(error_of(done.stderr) or f"photocal {arguments[0]} ended with {done.returncode}")
+    raise ConfigurationError(error_of(done.stderr) or f"photocal {arguments[0]} failed ({done.returncode})")
 
 
 def error_of(log: str) -> str:
@@ -85,7 +85,7 @@ class Job:
         with self._guard:
             if self._alive():
                 raise ConfigurationError(
-                    "is at work already", "wait for its end, or stop it", where=self._name
+                    "is already running", "wait for its end, or stop it", where=self._name
                 )
             self._folder.mkdir(exist_ok=True)
             command = [*_PROGRAM, *map(str, arguments), "--json"]

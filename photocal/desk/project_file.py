@@ -110,7 +110,7 @@ def put(path: Path, key: str, value: Any) -> None:
     """
     field = next((one for one in FIELDS if one.key == key), None)
     if field is None and key != "certificate.particulars":
-        raise ConfigurationError(f"{key} is no field of the form", "edit the file", where=path)
+        raise ConfigurationError(f"{key} is not a field of the form", "edit the file", where=path)
     document, (section, name) = toml_document(path), key.split(".")
     if section not in document:
         document[section] = tomlkit.table()
@@ -169,7 +169,7 @@ def _refuse_system(crs: Any, path: Path) -> None:
         CRS.from_user_input(str(crs))
     except CRSError as refusal:
         raise ConfigurationError(
-            f"crs = {str(crs)!r} is no system of the register", "search it by name or country", where=path
+            f"crs = {str(crs)!r} is not a known system", "search it by name or country", where=path
         ) from refusal
 
 
@@ -183,7 +183,7 @@ def put_role(path: Path, point: str, role: str) -> None:
     raises ConfigurationError: for an unknown role. raises InputNotFoundError: for an unknown point.
     """
     if role not in ROLES[:2]:
-        raise ConfigurationError(f"{role!r} is no role", f"take {ROLES[0]} or {ROLES[1]}", where=path)
+        raise ConfigurationError(f"{role!r} is not a role", f"take {ROLES[0]} or {ROLES[1]}", where=path)
     text = path.read_text(encoding="utf-8-sig")
     rows = list(csv.reader(io.StringIO(text)))
     if not rows or not {"point", "role"} <= set(rows[0]):

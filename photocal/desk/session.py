@@ -81,11 +81,11 @@ class Desk:
         """Give a file or folder by its path from the root; raises InputNotFoundError outside of it."""
         missing = InputNotFoundError.at(self.root)
         if "\0" in path:
-            raise missing("holds no such path", "choose from the list")
+            raise missing("does not contain this path", "choose from the list")
         # Links are followed before it is judged where they lead.
         found = (self.root / path).resolve()
         if not found.is_relative_to(self.root) or not found.exists():
-            raise missing("holds no such path", "choose from the list")
+            raise missing("does not contain this path", "choose from the list")
         return found
 
     def named(self, path: Path) -> str:

@@ -58,7 +58,7 @@ def route(known: Pictures, cache: Path, side_by_side: Callable[[], bool]) -> Rou
         picture = known().get(image)
         missing = InputNotFoundError.at(image)
         if picture is None:
-            raise missing("is no picture of this project", "choose one of the list")
+            raise missing("is not a picture of this project", "choose one of the list")
         if picture.reason:
             raise missing(picture.reason, "choose another picture")
         if side_by_side():

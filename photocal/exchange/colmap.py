@@ -174,14 +174,14 @@ class _Octets:
         count = int(self.take("Q")[0])
         if count * smallest > len(self.content) - self.at:
             raise InputMalformedError(
-                f"states {count} entries, more than the file can hold", "is it cut?", where=self.place
+                f"states {count} entries, more than the file can hold", "is it truncated?", where=self.place
             )
         return count
 
     def _require(self, size: int) -> None:
         if self.at + size > len(self.content):
             raise InputMalformedError(
-                f"is cut at byte {len(self.content)}", "was it written completely?", where=self.place
+                f"is truncated at byte {len(self.content)}", "was it written completely?", where=self.place
             )
 
 
@@ -233,7 +233,7 @@ class _Rows:
         line = next(self.lines, None)
         if line is None:
             what = f"ends before the marks of image {name}"
-            raise InputMalformedError(what, "is the file cut?", where=self.line.path)
+            raise InputMalformedError(what, "is the file truncated?", where=self.line.path)
         self.line, self.cells = line, line.text.split()
         return name
 
@@ -253,7 +253,7 @@ class _Rows:
 
     def _words(self, count: int, more: int = 0) -> list[str]:
         if len(self.cells) < count + more:
-            raise self.line.malformed(f"is not a row of {self.what}", "is the file cut?")
+            raise self.line.malformed(f"is not a row of {self.what}", "is the file truncated?")
         words, self.cells = self.cells[:count], self.cells[count:]
         return words
 

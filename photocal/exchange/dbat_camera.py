@@ -83,7 +83,7 @@ def read_rows(path: Path, layout: str, allowed: tuple[str, ...]) -> Iterator[Dba
                 f"has {len(cells)} cells where the format {layout!r} has {len(fields)}",
                 "write decimal points, not commas"
                 if len(cells) > len(fields)
-                else "complete the row, or is the file cut?",
+                else "complete the row, or is the file truncated?",
             )
         row: dict[str, str] = {}
         for field, cell in zip(fields, cells, strict=True):

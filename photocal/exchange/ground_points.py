@@ -74,7 +74,7 @@ def read_gcp_rows(path: Path) -> tuple[str, tuple[GcpRow, ...], tuple[InputMalfo
         raise (
             refused[0]
             if refused
-            else InputMalformedError("has no row of a ground point", "is the file cut?", where=path)
+            else InputMalformedError("has no row of a ground point", "is the file truncated?", where=path)
         )
     return system, _told_apart(_in_order(rows)), tuple(refused)
 
@@ -135,7 +135,7 @@ def _row(line: Line) -> GcpRow:
     if len(cells) < 6:
         raise line.malformed(
             f"has {len(cells)} cells where X Y Z column row image were expected",
-            "complete the row, or is the file cut?",
+            "complete the row, or is the file truncated?",
         )
     x, y, z, column, row = numbers(" ".join(cells[:5]), line.place, "ground point", 5)
     return GcpRow(line, (x, y, z), column, row, cells[5], cells[6] if len(cells) > 6 else "")

@@ -77,7 +77,7 @@ def read_scale_bars(path: Path) -> tuple[Bar, ...]:
     for line in read_lines(path):
         row = re.fullmatch(r'\s*\S+\s+"[^"]*"\s+(\S+)\s+(\S+)\s+(\S+)\s+(\S+)\s+([01])\s*', line.text)
         if row is None:
-            raise line.malformed("is not a row of a scale bar", "is the file cut?")
+            raise line.malformed("is not a row of a scale bar", "is the file truncated?")
         first, second, length, sigma, on = row.groups()
         if on == "1":
             sizes = number(length, line.place, "length") * MM, number(sigma, line.place, "sigma") * MM
@@ -118,7 +118,7 @@ def _a_priori(report: Path) -> float:
 def _cameras(lines: list[Line], path: Path) -> tuple[Camera, ...]:
     if not lines or len(lines) % 5:
         raise InputMalformedError(
-            f"has {len(lines)} lines where every camera has 5", "is the file cut?", where=path
+            f"has {len(lines)} lines where every camera has 5", "is the file truncated?", where=path
         )
     cameras = tuple(_camera(lines[k : k + 5]) for k in range(0, len(lines), 5))
     parts.require_unique([camera.id for camera in cameras], "camera", path)
@@ -177,7 +177,7 @@ def _marks(lines: list[Line], images: set[str], points: set[str], sigma: float) 
     for line in lines:
         cells = line.text.split()
         if len(cells) != 11:
-            raise line.malformed(f"has {len(cells)} values where an image point has 11", "is it cut?")
+            raise line.malformed(f"has {len(cells)} values where an image point has 11", "is it truncated?")
         if cells[9] == "1" and cells[0] in images and cells[1] in points:
             x, y = number(cells[2], line.place, "x"), number(cells[3], line.place, "y")
             marks.append(parts.Mark(cells[0], cells[1], x, y, (sigma, sigma), line.place))

@@ -124,7 +124,7 @@ def _with_tracks(given: Block, path: Path) -> Block:
             continue
         if len(cells) < 5:
             raise line.malformed(
-                f"has {len(cells)} cells where a track has image, track, feature, x, y", "is the file cut?"
+                f"has {len(cells)} cells where a track has image, track, feature, x, y", "is it truncated?"
             )
         if cells[0] in image and cells[1] in point:
             x, y = (number(cell, line.place, "track") for cell in cells[3:5])

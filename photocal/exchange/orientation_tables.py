@@ -100,7 +100,7 @@ def read_inpho(path: Path) -> ForeignProject:
             name = value.strip()
         elif key.strip().startswith("$EXT_ORI"):
             if not name:
-                raise line.malformed("an $EXT_ORI stands before its $PHOTO_NUM")
+                raise line.malformed("an $EXT_ORI comes before its $PHOTO_NUM")
             places.append(_next(lines, path, 4)[1:])
             matrices.append([_next(lines, path, 3) for _ in range(3)])
             names.append(name)

@@ -287,7 +287,7 @@ def write(path: Path, given: Block, _: Choices | None = None) -> tuple[Conversio
     if len(sizes) != 1 or any(camera.unit != "mm" for camera in given.cameras):
         raise InputMalformedError(
             "a PhotoModeler export has images of one size, and cameras in mm",
-            "give the pixel pitch, and export cameras of other sizes apart",
+            "give the pixel pitch, and export cameras of other sizes separately",
         )
     for name in given.images.names:
         require_file_name(name)

@@ -199,7 +199,7 @@ def _ply(archive: zipfile.ZipFile, name: str, wanted: tuple[str, ...], path: Pat
     lines = head.decode("ascii", errors="replace").split("\n")
     malformed = InputMalformedError.at(path)
     if not separator or lines[0] != "ply" or "format binary_little_endian 1.0" not in lines:
-        raise malformed(f"its {name!r} is no binary PLY table")
+        raise malformed(f"its {name!r} is not a binary PLY table")
     words = [line.split() for line in lines]
     count = [row[2] for row in words if row[:2] == ["element", "vertex"] and len(row) == 3]
     fields = [(row[2], _TYPES.get(row[1], "")) for row in words if row[:1] == ["property"] and len(row) == 3]
@@ -208,7 +208,7 @@ def _ply(archive: zipfile.ZipFile, name: str, wanted: tuple[str, ...], path: Pat
         raise malformed(f"its {name!r} does not have the columns {', '.join(wanted)}")
     layout = np.dtype(fields)
     if int(count[0]) * layout.itemsize > len(body):
-        raise malformed(f"its {name!r} states more rows than it has", "is it cut?")
+        raise malformed(f"its {name!r} states more rows than it has", "is it truncated?")
     rows = np.frombuffer(body, layout, int(count[0]))
     if not all(np.isfinite(rows[column]).all() for column in wanted):
         raise malformed(f"its {name!r} has a number that is not finite")

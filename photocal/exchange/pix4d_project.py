@@ -153,7 +153,7 @@ def read(path: Path) -> ForeignProject:
         position[wild], sigma[wild] = np.nan, np.nan
     if heads:
         remarks.append(
-            f"{len(heads)} cameras lie the same to each other at all exposures: heads on one frame"
+            f"{len(heads)} cameras have the same relative orientation at all exposures: heads on one frame"
         )
         # The heads of an exposure have one and the same fix of the receiver.
         others = (np.array(exposure) != "") & (
@@ -188,7 +188,7 @@ def _offset(folder: Path, names: Sequence[str], local: Floats) -> tuple[Floats, 
         if k >= 0:
             apart.append(np.array([_value(value) for value in values[:3]]) - local[k])
     if not apart or not np.isfinite(apart).all():
-        return np.zeros(3), ["no ..._offset.xyz: coordinates of the images are taken as they stand"]
+        return np.zeros(3), ["no ..._offset.xyz: coordinates of the images are used unchanged"]
     return np.median(apart, axis=0), [f"no ..._offset.xyz: the offset is that of ..._{EXTERNAL}"]
 
 

@@ -92,7 +92,7 @@ def read_quality_report(path: Path) -> QualityReport | None:
     """
     if path.stat().st_size > MAX_BYTES:
         raise InputMalformedError(
-            f"is larger than the {MAX_BYTES >> 20} MiB of a report", "is it one?", where=path
+            f"is larger than the {MAX_BYTES >> 20} MiB allowed for a report", "is it a report?", where=path
         )
     kind = path.suffix.lower()
     if kind == ".json":
@@ -148,7 +148,7 @@ def _text_of_pdf(path: Path) -> str:
         # A damaged document makes its reader raise whatever its structure leads to.
         raise InputMalformedError(
             f"is not a readable PDF ({type(failure).__name__}: {str(failure)[:80]})",
-            "open and save it",
+            "open it in a PDF program and save it again",
             where=path,
         ) from failure
 

@@ -51,7 +51,7 @@ def read_references(path: Path) -> tuple[str, tuple[PointEntry, ...]]:
             comma = len(cells) > len(header)
             raise InputMalformedError(
                 f"has {len(cells)} cells where the header has {len(header)}",
-                "write decimal points, not commas" if comma else "is the file cut?",
+                "write decimal points, not commas" if comma else "is the file truncated?",
                 where=place,
             )
         if not any(cells[column] for column in places):

@@ -151,7 +151,7 @@ def numbers(text: str, place: object, what: str, count: int | None = None) -> li
     if count is not None and len(cells) != count:
         raise InputMalformedError(
             f"{what}: {len(cells)} values where {count} were expected",
-            "complete the line, or is the file cut?",
+            "complete the line, or is the file truncated?",
             where=place,
         )
     return [number(cell, place, what) for cell in cells]
@@ -223,7 +223,7 @@ def read_json(path: Path) -> Any:
             json.dumps(content, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as failure:
         raise InputMalformedError(
-            f"is no valid JSON ({failure})", "was it written completely?", where=path
+            f"is not valid JSON ({failure})", "was it written completely?", where=path
         ) from failure
     return content
 
@@ -234,7 +234,7 @@ def structured(path: Path, what: str, read: Callable[[], T]) -> T:
         return read()
     except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError, IndexError) as failure:
         raise InputMalformedError(
-            f"has not the structure of {what} ({type(failure).__name__}: {str(failure)[:80]})", where=path
+            f"lacks the structure of {what} ({type(failure).__name__}: {str(failure)[:80]})", where=path
         ) from failure
 
 
@@ -272,7 +272,7 @@ def parse_xml(content: bytes, path: object) -> Element:
         ) from refusal
     except (ParseError, ValueError, LookupError) as failure:
         raise InputMalformedError(
-            f"is no valid XML ({failure})", "was it written completely?", where=path
+            f"is not valid XML ({failure})", "was it written completely?", where=path
         ) from failure
 
 

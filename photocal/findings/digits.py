@@ -105,11 +105,13 @@ class Number:
     mark: str
 
     def __format__(self, form: str) -> str:
-        """Write it: four significant digits; "sN" N of them; "length" in m or mm; else as Python does."""
+        """Write it: four significant digits; "sN" N of them; "length" in m or mm; "mark|marks" as a count."""
         if form == "length":
             # In m, or in mm below a metre.
             scale, decimals, unit = (1.0, 2, "m") if abs(self.value) >= 1.0 else (1000.0, 1, "mm")
             return f"{fixed(scale * self.value, decimals, self.mark)} {unit}"
+        if "|" in form:
+            return format(Count(self.value), form)
         if not form or form[0] == "s":
             return significant(self.value, int(form[1:] or 4), self.mark)
         return format(self.value, form).replace("-", MINUS).replace(".", self.mark)

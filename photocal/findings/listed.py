@@ -57,7 +57,7 @@ class Findings:
         InputNotFoundError, InputMalformedError
             For a file that is missing, or no record of this version.
         """
-        path, remedy = Path(path), "make the stage again"
+        path, remedy = Path(path), "run the stage again"
         record = object_of(dict[str, Any], parsed_json(path, remedy), path, remedy)
         return Findings(findings_of(record.get("findings"), path))
 

@@ -312,7 +312,7 @@ def findings_of(content: object, where: object) -> tuple[Finding, ...]:
     except ValueError as refusal:
         raise InputMalformedError(
             f"its findings were stored by another version of photocal ({refusal})",
-            "make the stage again",
+            "run the stage again",
             where=where,
         ) from None
     return found

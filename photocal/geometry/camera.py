@@ -359,7 +359,7 @@ def camera(
         for name, value in (named or {}).items():
             if name not in index:
                 raise ConfigurationError(
-                    f"{name!r} is no parameter of a camera", f"use {', '.join(PARAMETERS)}", where=camera_id
+                    f"{name!r} is not a camera parameter", f"use {', '.join(PARAMETERS)}", where=camera_id
                 )
             values[index[name]] = value
         return values

@@ -93,8 +93,8 @@ class ReferenceFrame:
             raise InputMalformedError(
                 f"coordinates cannot be transformed from {self.crs} ({failure})",
                 where="block",
-                remedy="check the zone and the order of the coordinates; a grid that is missing comes by "
-                f"photocal fetch-grids {self.crs}",
+                remedy="check the zone and the order of the coordinates; "
+                f"photocal fetch-grids {self.crs} installs a missing grid",
             ) from failure
         return result
 
@@ -151,7 +151,7 @@ def parsed(name: str) -> Any:
         system = system_of(name)
     except CRSError as failure:
         raise wrong(
-            f"frame {name!r} is no coordinate reference system", 'use "local" or a name such as "EPSG:31982"'
+            f"frame {name!r} is not a coordinate system", 'use "local" or a name such as "EPSG:31982"'
         ) from failure
     units = {axis.unit_name for axis in system.axis_info}
     if not units <= {"metre", "degree"}:
@@ -169,7 +169,7 @@ UNSTATED = "unstated"
 def reference_frame(name: str, height: str, origin: Floats) -> ReferenceFrame:
     """Make the frame of a block in a coordinate reference system.
 
-    Orthometric heights in a system that says nothing of a geoid count from its ellipsoid as they would from
+    Orthometric heights in a system that does not name a geoid count from its ellipsoid as they would from
     the geoid: good where nothing else has heights, see `require_geoid`.
 
     origin (3,): middle of the block.
@@ -184,7 +184,7 @@ def reference_frame(name: str, height: str, origin: Floats) -> ReferenceFrame:
         )
     if height not in ("orthometric", "ellipsoidal", UNSTATED):
         raise wrong(
-            f"the kind of the heights in frame {name} is not said",
+            f"the height kind of frame {name} is not stated",
             'add height = "ellipsoidal" or height = "orthometric"',
         )
     return ReferenceFrame(name, origin)
@@ -197,7 +197,7 @@ def require_geoid(name: str, height: str, remedy: str = "") -> None:
     """
     if height == "orthometric" and name != "local" and not parsed(name).is_compound:
         raise ConfigurationError(
-            f"heights are orthometric, but frame {name} says nothing of a geoid",
+            f"heights are orthometric, but frame {name} does not name a geoid",
             remedy or f'name a compound system, for example "{name}+3855" with the geoid EGM2008',
             where="block.toml",
         )
@@ -260,7 +260,7 @@ def ground_scale(crs: str, places: Floats) -> GroundScale:
     """Give the factors at places, of PROJ's point scale and Gauss's mean radius of the ellipsoid.
 
     crs: a map system; with a vertical one, too, heights go through its geoid.
-    places (n, 3): coordinates as given in it, m; heights of a system that says nothing of a geoid count from
+    places (n, 3): coordinates as given in it, m; heights of a system that does not name a geoid count from
         the ellipsoid (six metres of geoid are one millionth).
     raises ConfigurationError: for a system that is no map.
     """
@@ -270,7 +270,7 @@ def ground_scale(crs: str, places: Floats) -> GroundScale:
     horizontal = level_of(system)
     if not has_scale(crs):
         raise ConfigurationError(
-            f"{crs} is no map system: it has no scale",
+            f"{crs} is not a map system: it has no scale",
             "name the map system that the distances belong to",
             where="frame",
         )

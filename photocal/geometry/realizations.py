@@ -143,7 +143,7 @@ def realization(text: str) -> Realization:
     except ValueError:
         year = math.nan
     if not 1980 <= year <= 2100:
-        raise ConfigurationError(f"{epoch!r} is no epoch", "give it in years, such as IGS20@2026.9")
+        raise ConfigurationError(f"{epoch!r} is not an epoch", "give it in years, such as IGS20@2026.9")
     return Realization(found.frame, year)
 
 

@@ -68,7 +68,7 @@ class Calibration:
 def calibrate(block: Block) -> Calibration:
     """Adjust a block and keep camera and mounting; raises PhotocalError as the adjustment does."""
     network = assemble(block).network
-    with because("calibration on the job"):
+    with because("on-the-job calibration"):
         return calibration_of(factored(network, adjust(network).state))
 
 

@@ -248,12 +248,12 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
         )
     label = "direct: space intersection from GNSS and attitude alone"
     if not orientation.known.all():
-        label += f"; {int((~orientation.known).sum())} images without position or attitude left out"
+        label += f"; images without position or attitude, left out: {int((~orientation.known).sum())}"
     if joint is not None:
         label += ", with camera and mounting of a calibration"
     open_values = joint is None and leaves_open(block)
     if open_values:
-        label += "; block.toml leaves camera or mounting open: start values are used, nothing tests them"
+        label += "; block.toml leaves camera or mounting open: their start values are used and are not tested"
     poses = np.hstack([angles_from_matrix(orientation.rotation), orientation.centre])
     poses[~orientation.known] = np.nan
     return Georeferenced(
@@ -282,7 +282,7 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
 def _adjusted(block: Block, method: Method, note: str, near: AdjustedNetwork | None) -> Georeferenced:
     if block.datum == "free":
         raise ConfigurationError(
-            "a free network has no datum that check points could judge",
+            "check points cannot test a free network: it has no datum",
             'set datum = "control"',
             where="block.toml",
         )
@@ -302,7 +302,7 @@ def _adjusted(block: Block, method: Method, note: str, near: AdjustedNetwork | N
     exposures = solution.exposures + np.concatenate([np.zeros(3), origin])
     exposures[weak] = np.nan
     if weak.any():
-        note = f"; {int(weak.sum())} images with fewer than four rays set aside" + note
+        note = f"; images with fewer than four rays, left out: {int(weak.sum())}" + note
     control = block.points.of_role("control")
     wanted = np.isin(assembly.points, ground_points(block))
     points = assembly.points[wanted]

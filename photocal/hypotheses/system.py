@@ -90,7 +90,7 @@ class System:
         try:
             covariance = np.linalg.inv(matrix)
         except np.linalg.LinAlgError:
-            raise IllPosedError("the observations do not determine what all images share") from None
+            raise IllPosedError("the observations do not determine what is common to all images") from None
         step = np.zeros(len(self.right))
         spread = np.zeros_like(self.matrix)
         step[chosen] = covariance @ right
@@ -204,4 +204,4 @@ def chi_squared_of(matrix: Floats, right: Floats, chi_squared: float) -> float:
     try:
         return chi_squared - float(right @ np.linalg.solve(matrix, right))
     except np.linalg.LinAlgError:
-        raise IllPosedError("the observations do not determine what all images share") from None
+        raise IllPosedError("the observations do not determine what is common to all images") from None

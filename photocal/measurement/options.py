@@ -74,7 +74,7 @@ class RadiometryOptions(Options):
     spokes: Annotated[int, Option("Bright sectors of the star.", least=4)] = 36
     gsd_cm: Annotated[float | None, Option("Ground sampling distance at the star, cm.")] = None
     flat: Annotated[
-        Path | None, Option("Folder of pictures of an even surface, at several exposure times for linearity.")
+        Path | None, Option("Folder of flat-field pictures, at several exposure times for linearity.")
     ] = None
 
     def __post_init__(self) -> None:

@@ -104,7 +104,7 @@ def _correction(facts: Sequence[ImageFacts]) -> str:
     if not len(flags):
         return ""
     on = int(np.count_nonzero(flags == 1))
-    return f"{'off' if not on else f'distortion taken out in {on} of {len(facts)} pictures'} (XMP)"
+    return f"{'off' if not on else f'distortion removed in {on} of {len(facts)} pictures'} (XMP)"
 
 
 def _positions(facts: Sequence[ImageFacts]) -> str:

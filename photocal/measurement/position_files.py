@@ -242,7 +242,7 @@ def _of_events(path: Path, names: Sequence[str]) -> dict[str, _Place]:
     if by_name and again:
         number, before = int(listed.number[again[0]]), lines[first[int(listed.number[again[0]])]]
         raise InputMalformedError(
-            f"has another place for event {number} than {before}: two flights in one list?",
+            f"has another position for event {number} than {before}: two flights in one list?",
             "give each flight its own list",
             where=f"{path}, {lines[again[0]]}",
         )

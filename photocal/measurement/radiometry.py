@@ -182,7 +182,7 @@ def even_surface(pictures: Iterable[tuple[float, Grey]]) -> dict[str, float]:
         exposures.append(time)
         total = total + np.asarray(grey, dtype=np.float64) / means[-1]
     if not means:
-        raise InputMalformedError("the even surface is saturated in all pictures", remedy="expose it again")
+        raise InputMalformedError("the flat field is saturated in all pictures", remedy="expose it again")
     figures = {"corner_brightness": vignetting(np.asarray(total))[0]}
     known = np.isfinite(exposures)
     if len(np.unique(np.array(exposures)[known])) > 1:
@@ -214,7 +214,7 @@ def linearity(exposure: Floats, mean: Floats) -> tuple[float, float]:
     """
     if len(np.unique(exposure)) < 3:
         raise InputMalformedError(
-            "the even surface has fewer than three exposure times", remedy="expose it at three or more"
+            "the flat field has fewer than three exposure times", remedy="expose it at three or more"
         )
     left = mean - np.polyval(np.polyfit(exposure, mean, 1), exposure)
     correlation = float(np.corrcoef(exposure, mean)[0, 1])

@@ -8,7 +8,7 @@ from photocal.base.codec import object_of, parsed_json
 from photocal.navigation.common_errors import CommonErrors
 
 FIGURES = "ppk.json"
-_REMEDY = "make the PPK again"
+_REMEDY = "compute the PPK again"
 
 
 @dataclass(frozen=True)

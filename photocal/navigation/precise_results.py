@@ -271,6 +271,6 @@ def antenna_named(antennas: Sequence[str], name: str, path: Path) -> str:
     alike = difflib.get_close_matches(wanted, antennas, 3, 0.4)
     raise ConfigurationError(
         f"antenna {name!r} is not in {path.name}",
-        f"give type and radome as the file has them: {', '.join(alike) or 'none is alike'}",
+        f"give type and radome as the file has them: {', '.join(alike) or 'none is similar'}",
         where=path,
     )

@@ -150,7 +150,7 @@ def rtcm3_time(frames: list[Frame], path: Path, today: GpsTime, near: GpsTime | 
     if ns is None:
         raise IllPosedError(
             "is RTCM 3 without a date, an ephemeris or a date in its name: its week is unknown",
-            "name the file or its folder by the day, such as 20260518, or give the other receiver as RINEX",
+            "put the day into the name of file or folder, as 20260518, or give the other receiver as RINEX",
             where=path,
         )
     return GpsTime(np.array([ns], np.int64))

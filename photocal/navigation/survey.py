@@ -279,7 +279,7 @@ def require_inside(setup: SurveySetup, held: Sequence[GroundMark]) -> None:
         raise ConfigurationError(
             f"mark {held[worst].name} lies {outside[worst]:.2f} degrees outside the area of use of "
             f"{setup.crs}",
-            "name the system of the place, check the signs of latitude and longitude, or say "
+            "name the system of the place, check the signs of latitude and longitude, or write "
             "outside_area = true",
         )
 

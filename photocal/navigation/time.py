@@ -77,7 +77,7 @@ class GpsTime(Instants):
         if np.any(bad):
             raise InputMalformedError(
                 "GPS week 0 or a time of week outside the week",
-                "leave out what the receiver said before it knew the time",
+                "leave out what the receiver sent before it knew the time",
             )
         return cls(gnsstime.week_to_ns(weeks, tow))
 

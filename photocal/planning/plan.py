@@ -390,7 +390,7 @@ class FlightErrors:
         found, promised = (
             " ".join(f"{1e3 * v:.1f}" for v in axes) for axes in (self.found_m, self.promised_m)
         )
-        return f"{len(self.errors_m)} flights: errors of X, Y, Z {found} mm, promised {promised} mm"
+        return f"{len(self.errors_m)} flights: errors of X, Y, Z {found} mm, predicted {promised} mm"
 
     @property
     def found_m(self) -> Floats:

@@ -121,7 +121,7 @@ def contours(dtm: str | Path, output: str | Path, options: ContourOptions) -> Co
     """
     dtm, output = Path(dtm), Path(output)
     if output.suffix.lower() not in DRIVERS:
-        raise ConfigurationError(f"{output} has no known ending", f"use {', '.join(DRIVERS)}")
+        raise ConfigurationError(f"{output} has no known extension", f"use {', '.join(DRIVERS)}")
     terrain = _terrain(dtm, options)
     lines = contour_lines(terrain, options.interval)
     if not lines:
@@ -237,7 +237,7 @@ def _write_lines(made: Contours, path: Path, changed: str) -> None:
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as failure:
         reason = str(failure).splitlines()[0]
         raise OutputError(
-            f"cannot be written ({reason})", "is there room on the disk?", where=made.path
+            f"cannot be written ({reason})", "check that the disk has free space", where=made.path
         ) from failure
     finally:
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": None})

@@ -78,7 +78,7 @@ class ContourOptions(Options):
         """Refuse an interval that gives no contours."""
         if not (math.isfinite(self.interval) and self.interval > 0 and self.index > 0):
             raise ConfigurationError(
-                f"contours every {self.interval:g} m, each {self.index}. an index contour, cannot be",
+                f"contours every {self.interval:g} m, index contours every {self.index}, are impossible",
                 "give --interval and --index greater than 0",
             )
 

@@ -111,5 +111,5 @@ def _adjusted(images: OrientedImages, run: Path) -> OrientedImages:
     strange = [camera.id for camera in images.cameras if camera.id not in result.cameras]
     if lost or strange:
         what = f"image {lost[0]}" if lost else f"camera {strange[0]}"
-        raise InputMalformedError(f"lacks {what}", "name the run of this very block", where=run)
+        raise InputMalformedError(f"lacks {what}", "name the run of this block", where=run)
     return adjusted

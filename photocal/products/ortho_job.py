@@ -61,7 +61,7 @@ def _image_path(inside: dict[str, Path], name: str, folder: Path) -> Path:
     alike = [file for file in inside.values() if file.stem == name]
     if len(alike) != 1:
         what = f"has no file of image {name}" if not alike else f"has several files of image {name}"
-        raise InputNotFoundError(what, "one file a name, with or without its ending", where=folder)
+        raise InputNotFoundError(what, "keep one file of this name", where=folder)
     return alike[0]
 
 
@@ -74,7 +74,7 @@ def heights_of(raster: RasterFile, block: Block, stated: str | None) -> str:
     if block.height in ("", UNSTATED) and block.frame != "local":
         raise ConfigurationError(
             "the block does not state its height kind",
-            'say height = "ellipsoidal" or height = "orthometric"',
+            'give height = "ellipsoidal" or height = "orthometric"',
             where="block.toml",
         )
     if block.height and block.height != kind:
@@ -283,7 +283,7 @@ def displacement(
 ) -> Displacement:
     """Follow ground points through the right image geometry and back through the wrong one."""
     if right.names != wrong.names:
-        raise ConfigurationError("the two orientations have different images", "use one block")
+        raise ConfigurationError("the two orientations have different images", "use two of one block")
     given = np.column_stack([x, y, terrain.at(x, y)])
     given = given[np.isfinite(given[:, 2])]
     local = frame.to_local(given)

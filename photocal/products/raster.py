@@ -250,7 +250,7 @@ def geotiff(
         except rasterio.errors.RasterioError as failure:
             raise OutputError(
                 f"cannot be written ({str(failure).splitlines()[0]})",
-                "is there room on the disk?",
+                "check that the disk has free space",
                 where=path,
             ) from failure
 

@@ -168,7 +168,7 @@ def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> R
     _, first = np.unique(pair, return_index=True)
     again = np.ones(len(pair), dtype=np.bool_)
     again[first] = False
-    refuse(table, again, "the point stands twice in its section", "keep one of the rows")
+    refuse(table, again, "the point appears twice in its section", "keep one of the rows")
     order = list(HORIZONTAL[vertical])
     axes = tuple("XYZ"[k] for k in order)
     return RingPoints(

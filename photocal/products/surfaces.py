@@ -234,5 +234,5 @@ def _cylinder_start(points: Floats) -> Floats:
         if miss < least:
             best, least = np.concatenate([circle[:2] @ basis, axis, circle[2:]]), miss
     if best is None:
-        raise IllPosedError("the points fix no cylinder", "spread them over its surface")
+        raise IllPosedError("the points do not determine a cylinder", "spread them over its surface")
     return best

@@ -145,8 +145,8 @@ def _record_of_print(keys: PrintedKeys, path: Path) -> CalibrationRecord:
     names, rows = printed.correlation_names, printed.correlation
     if [len(row) for row in rows] != list(range(1, len(names) + 1)):
         raise ConfigurationError(
-            f"calibration.correlation is no lower triangle of {len(names)} rows",
-            "give one number more in each row",
+            f"calibration.correlation is not a lower triangle of {len(names)} rows",
+            "give each row one number more than the row above",
             where=path,
         )
     matrix = np.eye(len(names))

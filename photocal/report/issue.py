@@ -234,6 +234,6 @@ def _refuse_a_guess(run: Path, result: Result) -> None:
         raise ConfigurationError(
             f"the principal distance of camera {guessed[0]} is a guess that was held",
             "give its calibrated value and remove guessed = true, or name c under estimate; where it"
-            " stands there already, this flight does not determine it: fly two heights, with crossed strips",
+            " is there already, this flight does not determine it: fly two heights, with crossed strips",
             where=run,
         )

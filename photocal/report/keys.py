@@ -106,7 +106,7 @@ def new_key(name: str, passphrase: str = "", last_day: dt.date | None = None) ->
     try:
         name = key_name(name)
     except ValueError as wrong:
-        raise ConfigurationError(f"the name {wrong}", "write it as people read it", where="--new") from None
+        raise ConfigurationError(f"the name {wrong}", "choose another name", where="--new") from None
     if last_day is not None and last_day < dt.datetime.now(dt.UTC).date():
         raise ConfigurationError(f"{last_day} has passed", "name a later day", where="--expires")
     path = private_folder(settings_folder()) / _PRIVATE
@@ -140,7 +140,7 @@ def own_key() -> Key | None:
         return Key(key_name(str(content["name"])), public, stated_last_day(content))
     except (KeyError, ValueError) as wrong:
         raise InputMalformedError(
-            f"is no key: name, key or day {wrong}", "correct the name, or restore the file", where=path
+            f"is not a key: name, key or day {wrong}", "correct the name, or restore the file", where=path
         ) from None
 
 
@@ -171,7 +171,7 @@ def private_key(passphrase: str) -> "Ed25519PrivateKey":
     except (TypeError, ValueError) as refusal:
         raise wrong(f"the key cannot be opened ({refusal})", "give its passphrase") from None
     if not isinstance(key, Ed25519PrivateKey):
-        raise wrong("is no Ed25519 key", "run: photocal keys --new NAME")
+        raise wrong("is not an Ed25519 key", "run: photocal keys --new NAME")
     return key
 
 
@@ -185,7 +185,7 @@ def known_keys(path: Path | None = None) -> dict[str, KnownKey]:
     for where, fingerprint, rest in _lines(source, "write ten groups of four, and the name"):
         malformed = InputMalformedError.at(where)
         if fingerprint in listed:
-            raise malformed("has a key that stands above already", "remove one of the two lines")
+            raise malformed("has a key that is already listed above", "remove one of the two lines")
         day, _, behind = rest.partition(" ")
         dated = _DAY.fullmatch(day) is not None
         name = behind.strip() if dated else rest
@@ -193,7 +193,7 @@ def known_keys(path: Path | None = None) -> dict[str, KnownKey]:
             last_day = dt.date.fromisoformat(day) if dated else None
         except ValueError:
             raise malformed(
-                f"{day!r} is no day", "write YYYY-MM-DD behind the key, or the name alone"
+                f"{day!r} is not a date", "write YYYY-MM-DD behind the key, or the name alone"
             ) from None
         try:
             listed[fingerprint] = KnownKey(key_name(name) if name else "", last_day)
@@ -212,7 +212,7 @@ def revoked_keys(path: Path | None = None) -> dict[str, Revocation]:
                 revoked.setdefault(fingerprint, Revocation(dt.date.fromisoformat(day), reason.strip()))
             except ValueError:
                 raise InputMalformedError(
-                    f"{day!r} is no day", "write YYYY-MM-DD behind the key", where=where
+                    f"{day!r} is not a date", "write YYYY-MM-DD behind the key", where=where
                 ) from None
     return revoked
 
@@ -233,7 +233,7 @@ def _lines(source: Path, remedy: str) -> Iterator[tuple[str, str, str]]:
             words = line.split()
             fingerprint = " ".join(words[:10]).upper()
             if len(words) < 11 or not _FINGERPRINT.fullmatch(fingerprint):
-                raise InputMalformedError("is no key", remedy, where=f"{source}, line {number}")
+                raise InputMalformedError("is not a key", remedy, where=f"{source}, line {number}")
             rest = line.strip(" \t\r").split(maxsplit=10)[10]
             yield f"{source}, line {number}", fingerprint, rest
 
@@ -268,7 +268,7 @@ def read_object(path: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError) as broken:
         raise InputMalformedError(f"cannot be read ({broken})", "restore it", where=path) from None
     if not isinstance(content, dict):
-        raise InputMalformedError("is no JSON object", "restore it", where=path)
+        raise InputMalformedError("is not a JSON object", "restore it", where=path)
     return content
 
 
@@ -383,9 +383,9 @@ def _not_cut(content: bytes, source: Path) -> None:
     head, lines = read_object(path), content.splitlines()
     count = head.get("entries")
     if not isinstance(count, int) or count < 1:
-        raise InputMalformedError("is no head of a journal", _RESTORE, where=path)
+        raise InputMalformedError("is not the head of a journal", _RESTORE, where=path)
     if len(lines) < count:
-        what = f"was cut at its end: {len(lines)} entries, {count} were written"
+        what = f"was truncated at its end: {len(lines)} entries, {count} were written"
         raise InputMalformedError(what, _RESTORE, where=source)
     if hashlib.sha256(lines[count - 1]).hexdigest() != head.get("sha256"):
         raise InputMalformedError("is not the journal of the head beside it", _RESTORE, where=source)
@@ -406,7 +406,7 @@ def against_journal(
         problems.append(f"certificate.json is not the one that the journal has for {number}")
     place = (noted or {}).get("entry")
     if isinstance(place, int) and place > len(entries):
-        problems.append(f"the journal was cut: it has {len(entries)} entries, the signature names {place}")
+        problems.append(f"the journal was truncated: {len(entries)} entries, the signature names {place}")
     elif isinstance(place, int) and noted is not None:
         entry = entries[place - 1] if place > 0 else {}
         if (entry.get("number"), entry.get("previous")) != (number, noted.get("previous")):

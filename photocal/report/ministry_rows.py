@@ -349,7 +349,7 @@ def planned_places(path: Path) -> tuple[Place, ...]:
         )
     except (OSError, ValueError, KeyError, TypeError) as refusal:
         raise InputMalformedError(
-            "is no plan", where=path, remedy="name plan.geojson of `photocal plan`"
+            "is not a plan", where=path, remedy="name plan.geojson of `photocal plan`"
         ) from refusal
 
 

@@ -43,5 +43,5 @@ class CertificateOptions(Options):
             return dt.date.fromisoformat(self.date)
         except ValueError:
             raise ConfigurationError(
-                f"{self.date!r} is no date", "write it as YYYY-MM-DD", where="--date"
+                f"{self.date!r} is not a date", "write it as YYYY-MM-DD", where="--date"
             ) from None

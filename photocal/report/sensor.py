@@ -18,7 +18,7 @@ _PRISM = ("S1", "S2", "S3", "S4")
 class RadialProfile:
     """Radial displacement over the radius, all in the unit of the camera, shape (n,).
 
-    displacement: measured less ideal radius: positive outwards.
+    displacement: measured minus ideal radius: positive outwards.
     decentering: largest displacement by P1 to P4 at that radius.
     """
 

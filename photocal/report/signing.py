@@ -77,7 +77,7 @@ def stamp(signature: Path, authority: str) -> Stamped:
 
     if urlsplit(authority).scheme not in ("http", "https"):
         raise ConfigurationError(
-            "is no http or https address", "name the address of the authority", where=authority
+            "is not an http or https address", "name the address of the authority", where=authority
         )
     if not signature.is_file():
         raise InputNotFoundError("there is no signature", "run `photocal sign` first", where=signature)
@@ -87,11 +87,9 @@ def stamp(signature: Path, authority: str) -> Stamped:
     response = _decoded(answer, authority)
     if PKIStatus(response.status) is not PKIStatus.GRANTED:
         said = printable("; ".join(response.status_string)) or PKIStatus(response.status).name
-        raise OutputError(f"the authority refuses: {said}", "ask it why, or take another", where=authority)
+        raise OutputError(f"the authority refuses: {said}", "ask it why, or use another", where=authority)
     if response.tst_info.nonce != asked.nonce or not _is_of(response, content):
-        raise InputMalformedError(
-            "the answer stamps something else", "take another authority", where=authority
-        )
+        raise InputMalformedError("the time stamp is of other data", "use another authority", where=authority)
     write_file(signature.with_name(STAMP), answer)
     return Stamped(response.tst_info.gen_time, _signer(response), verified=False)
 
@@ -108,7 +106,7 @@ def stamped(signature: Path, authorities: Path | None = None) -> Stamped | None:
     if path.is_symlink() or not path.is_file():
         return None
     if path.stat().st_size > _LARGEST:
-        raise InputMalformedError("is no time stamp: it is too large", "restore it", where=path)
+        raise InputMalformedError("is not a time stamp: it is too large", "restore it", where=path)
     response, content = _decoded(path.read_bytes(), path), signature.read_bytes()
     if not _is_of(response, content):
         raise InputMalformedError("is the time stamp of another signature", "restore it", where=path)
@@ -126,10 +124,10 @@ def _posted(address: str, query: bytes) -> bytes:
     except (urllib.error.URLError, OSError, ValueError) as refusal:
         reason = getattr(refusal, "reason", refusal)
         raise OutputError(
-            f"the authority does not answer ({reason})", "try again; the signature stands", where=address
+            f"the authority does not answer ({reason})", "try again; the signature is kept", where=address
         ) from None
     if len(answer) > _LARGEST:
-        raise InputMalformedError("the answer is too large", "take another authority", where=address)
+        raise InputMalformedError("the answer is too large", "use another authority", where=address)
     return answer
 
 
@@ -142,7 +140,7 @@ def _decoded(octets: bytes, where: object) -> Any:
         if PKIStatus(response.status) is PKIStatus.GRANTED:
             _ = response.tst_info.gen_time, response.tst_info.message_imprint.message, _signer(response)
     except (ValueError, TypeError) as broken:
-        raise InputMalformedError(f"is no time stamp ({broken})", "restore it", where=where) from None
+        raise InputMalformedError(f"is not a time stamp ({broken})", "restore it", where=where) from None
     return response
 
 
@@ -243,19 +241,19 @@ def sign(folder: Path, number: str, now: dt.datetime, passphrase: str = "") -> t
         )
     if revocation := revoked_keys().get(key.fingerprint):
         raise ConfigurationError(
-            f"the own key was {revocation}",
+            f"your own key was {revocation}",
             "move its two files away, then make another",
             where=key.fingerprint,
         )
     if key.last_day is not None and key.last_day < now.astimezone(dt.UTC).date():
         raise ConfigurationError(
-            f"the own key expired on {key.last_day}",
+            f"your own key expired on {key.last_day}",
             "move its two files away, then make another",
             where=key.fingerprint,
         )
     files = manifest(folder)
     if link := next((name for name, digest in files.items() if digest == _LINK), None):
-        raise InputMalformedError("is a link", "put the file itself there", where=folder / link)
+        raise InputMalformedError("is a link", "copy the file itself there", where=folder / link)
     entry, told = note(number, files["certificate.json"], now)
     content = {
         "schema": SCHEMA,
@@ -306,7 +304,7 @@ def authenticity(
     try:
         key, files = _opened(content)
     except (KeyError, TypeError, ValueError) as broken:
-        return Authenticity("forged", "?", "?", (f"{SIGNATURE} is no signature ({broken})",))
+        return Authenticity("forged", "?", "?", (f"{SIGNATURE} is not a signature ({broken})",))
     journal = content.get("journal")
     noted = journal if isinstance(journal, dict) else {}
     problems = _wrong_in(content, key, named, folder) + _against(files, manifest(folder))

@@ -61,9 +61,9 @@ def changed_files(certificate: dict[str, Any], folder: Path) -> list[str]:
         if path.is_symlink():
             named.append(f"{name} is a link")
         elif name not in (folders if path.is_dir() else expected):
-            named.append(f"{name} is no part of the certificate")
+            named.append(f"{name} is not part of the certificate")
     documents = certificate["documents"]
-    named += [f"{name} is no document of a certificate" for name in sorted(documents.keys() - set(PAGES))]
+    named += [f"{name} is not a document of a certificate" for name in sorted(documents.keys() - set(PAGES))]
     for name in PAGES:
         path = folder / name
         if name not in documents:
@@ -78,7 +78,7 @@ def changed_files(certificate: dict[str, Any], folder: Path) -> list[str]:
 def changed_pages(folder: Path, pages: Mapping[str, bytes]) -> list[str]:
     """Name the pages of a certificate that do not say what its figures give."""
     return [
-        f"{name} does not say what the figures give"
+        f"{name} does not agree with the figures"
         for name, printed in pages.items()
         if not _same_page((folder / name).read_bytes(), printed)
     ]

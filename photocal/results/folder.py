@@ -254,7 +254,7 @@ def _camera(name: str, stored: Any, path: Path) -> Camera:
     varying = object_of(tuple[str, ...], content.get("photo_variant", ()), path, AGAIN, "photo_variant")
     unknown = [key for key in varying if key not in parameters]
     if unknown:
-        raise malformed(f"{unknown[0]} is no parameter", AGAIN)
+        raise malformed(f"{unknown[0]} is not a parameter", AGAIN)
     keys = {
         "id": name,
         **{key: content[key] for key in (*_SAME, *_SOME, "reference_radius") if key in content},
@@ -349,8 +349,8 @@ def read_covariances(path: Path, kind: str, names: tuple[str, ...], unknowns: Se
         order, lower = _lower(table, unknowns)
     except (pa.ArrowException, OSError, ValueError, KeyError) as failure:
         raise InputMalformedError(
-            f"is no table of covariances ({str(failure).splitlines()[0]})",
-            "make the folder again",
+            f"is not a table of covariances ({str(failure).splitlines()[0]})",
+            "adjust the block again",
             where=path,
         ) from failure
     whole = np.zeros((len(ids), k, k))
@@ -379,7 +379,7 @@ def _lower(table: Any, unknowns: Sequence[str]) -> tuple[Integers, Floats]:
 def _same_count(path: Path, count: int, expected: int, what: str) -> None:
     if count != expected:
         raise InputMalformedError(
-            f"has {count} {what}, {RESULT} says {expected}", f"the table was cut; {AGAIN}", where=path
+            f"has {count} {what}, {RESULT} says {expected}", f"the table was truncated; {AGAIN}", where=path
         )
 
 

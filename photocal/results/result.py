@@ -83,7 +83,7 @@ class CheckPoint:
 
 @dataclass(frozen=True)
 class CheckLength:
-    """A known distance that took no part: its value, adjusted less known, and sigmas of both, m."""
+    """A known distance that took no part: its value, adjusted minus known, and sigmas of both, m."""
 
     first: str
     second: str

@@ -280,7 +280,7 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
     if met.sum() < policy.fewest_control:
         raise IllPosedError(
             f"{int(met.sum())} control points of the list are marked in two images and more",
-            "three that are not in a line bring the block onto them",
+            "mark at least three that are not in a line, to transform the block to them",
             where=lists[0],
         )
     poses = local_poses(own, block.images.values)

@@ -94,7 +94,7 @@ def _added(project: Project, work: Path, before: Container[str]) -> Iterator[Sta
     """Stages that installed packages bring."""
     for name, added in brought(STAGES, AddedStage).items():
         if name in before or name in _NAMES:
-            raise ConfigurationError(f"a stage {name} is there already", "give it another name", where=STAGES)
+            raise ConfigurationError(f"a stage {name} already exists", "give it another name", where=STAGES)
         if all(earlier in before for earlier in added.after):
             folders = {earlier: work / earlier for earlier in added.after}
             made = partial(added.make, project, folders)
@@ -123,7 +123,7 @@ def run_project(
         if name is not None and name not in names:
             raise ConfigurationError(
                 f"this project has no stage {name!r}",
-                f"take one that it has: {', '.join(names)}",
+                f"use one that it has: {', '.join(names)}",
                 where=option,
             )
     check_output(project)

@@ -47,7 +47,7 @@ class ExposureFigures:
     @classmethod
     def read(cls, path: Path) -> "ExposureFigures":
         """Read `exposures.json`; errors as of `photocal.base.codec.object_of`."""
-        remedy = "make the exposures again"
+        remedy = "compute the exposures again"
         return object_of(cls, parsed_json(path, remedy), path, remedy)
 
 

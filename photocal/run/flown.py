@@ -130,7 +130,7 @@ def measure_flown(
             figures = against_plan(figures, json.loads(plan.read_text(encoding="utf-8")))
         except (OSError, ValueError, KeyError, TypeError) as refusal:
             raise InputMalformedError(
-                "is no plan", where=plan, remedy="name plan.json of `photocal plan`"
+                "is not a plan", where=plan, remedy="name plan.json of `photocal plan`"
             ) from refusal
     if output is not None:
         system = reference_system(None if model.frame == "local" else model.frame)

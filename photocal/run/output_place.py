@@ -34,9 +34,9 @@ def check_output(project: Project) -> str:
         raise wrong(f"{said} holds the pictures", _REMEDY)
     block = None if given is None or given.block is None else given.block.resolve()
     if block is not None and (block.is_relative_to(output) or output.is_relative_to(block)):
-        raise wrong(f"{said} and the block folder lie in each other", _REMEDY)
+        raise wrong(f"{said} and the block folder: one contains the other", _REMEDY)
     if foreign := _foreign(output):
-        raise wrong(f"{said} holds what no run has written, first {foreign}", _REMEDY)
+        raise wrong(f"{said} contains files that no run has written, first {foreign}", _REMEDY)
     return "" if output.is_relative_to(home) else f"the results go outside the project, into {output}"
 
 

@@ -84,8 +84,8 @@ def _check_frame(project: Project, control: ObjectPoints, place: Place | None) -
             raise
         level = project.crs.split("+")[0]
         raise ConfigurationError(
-            f"crs = {project.crs!r} needs {', '.join(lacks)}, which is not here",
-            f"photocal fetch-grids {project.crs} brings it; without it: crs = {level!r} and {FREED}",
+            f"crs = {project.crs!r} needs {', '.join(lacks)}, which is not installed",
+            f"photocal fetch-grids {project.crs} installs it; without it: crs = {level!r} and {FREED}",
             where=project.path,
         ) from refusal
 
@@ -194,8 +194,8 @@ def _check_heights(project: Project, control: ObjectPoints) -> None:
     if project.crs == "local" or len(heights) < FEWEST or np.ptp(heights) > 0:
         return
     raise ConfigurationError(
-        f"the heights of all {len(heights)} control points are {heights[0]:g}, which a survey hardly gives",
-        "give their heights, or leave sZ empty: then they serve horizontally only",
+        f"the heights of all {len(heights)} control points are {heights[0]:g}, which is improbable",
+        "give their heights, or leave sZ empty: then they are used in plan only",
         where=project.control.points,
     )
 
@@ -224,7 +224,7 @@ def check_place(crs: str, control: ObjectPoints, files: tuple[Path | None, Path]
     if (np.abs(places) <= (180, 90)).all():
         raise wrong(
             f"{points} are in degrees, crs is in metres",
-            f"take them to {crs}, or let photocal new do it",
+            f"transform them to {crs}, or let photocal new do it",
         )
     for unit, factor in _UNITS.items():
         tried.append((f"{points} are in {unit}", table, latitude, longitude, crs, places * factor))
@@ -327,12 +327,12 @@ def check_rays(block: Block, control_file: Path | None, *, alike: bool = False) 
             return
         east, north, up = np.median(survey - met, axis=0)
         raise wrong(
-            f"the control points lie all {east:+.0f} m east, {north:+.0f} m north and {up:+.0f} m up from "
-            "where the rays of the exposures meet them",
-            "check base_position, the datum of control and crs, and the place of the control points",
+            f"all control points lie {east:+.0f} m east, {north:+.0f} m north and {up:+.0f} m up of the "
+            "intersections of their rays",
+            "check base_position, the datum of control and crs, and the coordinates of the control points",
         )
     raise wrong(
-        f"the control points lie {miss:.0f} m from where the rays of the exposures intersect",
+        f"the control points lie {miss:.0f} m from the intersections of their rays",
         f"check crs, datum and names, first of {block.points.names[roles[0]]}",
     )
 

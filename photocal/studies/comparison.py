@@ -311,7 +311,7 @@ def _run(command: Command, folder: Path, run: Run) -> None:
             ended = refusal.exit_code
     if ended != command.exit:
         raise ConfigurationError(
-            f"{command.line} ended with {ended}, the study says {command.exit}",
+            f"{command.line} ended with exit code {ended}, the study states {command.exit}",
             "correct study.toml",
             where=folder,
         )

@@ -91,7 +91,7 @@ def test_a_kind_without_a_function_is_refused() -> None:
     block = photocal.block_of_arrays(
         points, np.full((3, 12, 2), 100.0), (640, 480), sigma_px=1.0, sigma_m=0.01
     )
-    with pytest.raises(ConfigurationError, match="'length' is no kind of observation"):
+    with pytest.raises(ConfigurationError, match="'length' is not a known kind of observation"):
         photocal.with_relations(block, "length", [("1", "2", 1.0, 0.1)])
     own = photocal.with_relations(block, "length", [("1", "2", 1.0, 0.1)], lambda d: (d[:, 2], d))
     assert own.relations.names[own.relations.kind[0]] == "length"
@@ -276,7 +276,7 @@ def test_a_camera_that_is_not_there_is_refused_by_the_names_of_those_that_are(
     for ask in (result.camera, result.plot.camera, result.plot.residuals):
         with pytest.raises(photocal.PhotocalError, match=r"no camera 'ricoh'.*dcs460"):
             ask("ricoh")
-    with pytest.raises(photocal.PhotocalError, match=r"'k1' is no parameter.*K1"):
+    with pytest.raises(photocal.PhotocalError, match=r"'k1' is not a camera parameter.*K1"):
         photocal.camera("lens", "brown-ideal", "px", (4, 3), (1, 1), {"k1": 1.0})
 
 

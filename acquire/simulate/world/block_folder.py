@@ -26,7 +26,7 @@ def write_block(world: World, observed: MeasuredPoints, folder: Path) -> None:
     """Write the block folder of a flight; a fault that only shows in streams is refused."""
     if world.has(SimulatedFault.CYCLE_SLIPS):
         raise ConfigurationError(
-            "cycle slips do not show at the level block", 'take level = "observations" or "pictures"'
+            'level = "block" cannot simulate cycle slips', 'take level = "observations" or "pictures"'
         )
     folder.mkdir(parents=True)
     kept = np.flatnonzero(kept_images(world))

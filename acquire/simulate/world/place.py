@@ -83,6 +83,6 @@ class Place(Table):
         except CRSError as refusal:
             raise ConfigurationError(f"{self.crs} is not known", where="[place]", remedy=remedy) from refusal
         if not system.is_projected or {axis.unit_name for axis in system.axis_info[:2]} != {"metre"}:
-            raise ConfigurationError(f"{self.crs} is no map in metres", where="[place]", remedy=remedy)
+            raise ConfigurationError(f"{self.crs} is not a map in metres", where="[place]", remedy=remedy)
         # Geographic coordinates of the system itself: no change of datum is involved.
         return Transformer.from_crs(system.geodetic_crs, system, always_xy=True)

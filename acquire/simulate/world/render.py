@@ -182,7 +182,7 @@ def make_plate(centre_m: Floats, turn: float, code: int, dictionary: str, side_m
     if code >= len(codes.bytesList):
         raise ConfigurationError(
             f"{dictionary} has no more than {len(codes.bytesList) - 1} codes for plates",
-            "lay fewer, or take a larger dictionary",
+            "use fewer, or a larger dictionary",
             where="[targets]",
         )
     cells = int(codes.markerSize) + 2

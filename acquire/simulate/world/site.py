@@ -65,7 +65,7 @@ def _figures(world: World) -> dict[str, object]:
             "boresight_deg": np.degrees(rig.boresight).tolist(),
             "boresight_is": "rotation vector in camera axes (x right, y up, z backwards), body to camera",
             "time_offset_s": rig.time_offset_s,
-            "time_offset_is": "middle of the exposure less event",
+            "time_offset_is": "middle of the exposure minus event",
             "readout_s": world.configuration.camera.readout_s,
         },
         "base": {

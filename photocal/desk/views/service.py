@@ -125,7 +125,7 @@ class Look:
     def ground(self, level: int, column: int, row: int) -> bytes:
         """A tile of the orthophoto that the map was told of."""
         if self._ground is None:
-            raise InputNotFoundError("has no orthophoto", "photocal ortho makes one", where=self._desk.folder)
+            raise InputNotFoundError("has no orthophoto", "run photocal ortho", where=self._desk.folder)
         return ground_tile(self._ground, level, column, row)
 
     def left_out(self) -> dict[str, Any]:
@@ -153,7 +153,7 @@ class Look:
         shown = self.shown()
         for name, known in ((entry.image, shown.block.images.names), (entry.point, shown.block.points.names)):
             if change is leave_out and name is not None and name not in known:
-                raise ConfigurationError("is not in the block", "choose what takes part", where=name)
+                raise ConfigurationError("is not in the block", "choose one of the block", where=name)
         with self._desk.lock:
             change(self._desk.file, entry)
         return self.left_out()

@@ -96,7 +96,7 @@ class Tiles:
         # No picture has more levels: a side of 2^24 pixels.
         most_levels = 16
         if not 0 <= level <= most_levels:
-            raise InputNotFoundError("has no such tile", "look at another place", where=picture)
+            raise InputNotFoundError("has no such tile", "choose another place", where=picture)
         part = self._decoding.submit(self._part, picture, key, level, column, row).result()
         written = BytesIO()
         # Of JPEG: nothing is lost that an eye sees.
@@ -108,7 +108,7 @@ class Tiles:
         whole = self._level(picture, key, level)
         left, top = column * TILE_PX, row * TILE_PX
         if column < 0 or row < 0 or left >= whole.width or top >= whole.height:
-            raise InputNotFoundError("has no such tile", "look at another place", where=picture)
+            raise InputNotFoundError("has no such tile", "choose another place", where=picture)
         return whole.crop((left, top, min(left + TILE_PX, whole.width), min(top + TILE_PX, whole.height)))
 
     def _level(self, picture: Path, key: str, level: int) -> "Image":
@@ -147,7 +147,7 @@ def _decoded(picture: Path, level: int) -> "Image":
 
     with opened(picture) as image:
         if level > coarsest_level(image.size):
-            raise InputNotFoundError("has no such tile", "look at another place", where=picture)
+            raise InputNotFoundError("has no such tile", "choose another place", where=picture)
         if image.mode not in _MANY_BITS:
             done = _scaled(image, level)
             stored = as_stored(image)

@@ -55,7 +55,7 @@ def test_into_a_pipe_the_view_is_printed_once(acquire: Acquire, log: Path) -> No
         (["missing.mcap"], 3, "does not exist"),
         ([__file__], 4, "not a flight log"),
         (["--page", "--address", "here", "."], 5, "HOST:PORT"),
-        (["--page", "--address", "192.0.2.1:0", "."], 5, "cannot be listened on"),
+        (["--page", "--address", "192.0.2.1:0", "."], 5, "cannot be used for listening"),
     ],
 )
 def test_what_cannot_be_meant_is_one_line(

@@ -149,7 +149,7 @@ def test_a_debrief_stands_on_the_page_as_soon_as_it_is_written(page: Page, folde
     (folder / "debrief.json").write_text(json.dumps(content), encoding="utf-8")
     expect(box.locator(".summary li").last).to_have_text("c 3654.5 ± 1.8 px")
     expect(box.locator(".summary li").first).to_have_text(
-        re.compile("0 of [1-9][0-9]* reported pictures have come")
+        re.compile("0 of [1-9][0-9]* reported pictures have been received")
     )
     # In the words of the other language, where the debrief has written them.
     own = {
@@ -176,7 +176,7 @@ def test_a_lost_fix_is_said_in_words_and_colour_and_told_until_it_is_heard(page:
     expect(word).to_have_text("no fix")
     expect(word).to_have_attribute("data-level", "bad")
     banner = page.locator("#banner")
-    expect(banner).to_contain_text("vehicle: fix fell from RTK fixed to no fix")
+    expect(banner).to_contain_text("vehicle: fix dropped from RTK fixed to no fix")
     expect(page).to_have_title(re.compile("fix fell"))
     field.fix = RTK_FIXED
     expect(word).to_have_text("RTK fixed")

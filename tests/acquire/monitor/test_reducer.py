@@ -148,25 +148,28 @@ def test_pauses_of_a_link_are_counted_across_chunks() -> None:
 @pytest.mark.parametrize(
     ("fixes", "alarms"),
     [
-        (["rtk_fixed", "none"], [("bad", "fix fell from RTK fixed to no fix")]),
-        (["rtk_fixed", "rtk_float"], [("warn", "fix fell from RTK fixed to RTK float")]),
-        (["3d", "2d"], [("bad", "fix fell from 3D to 2D")]),
+        (["rtk_fixed", "none"], [("bad", "fix dropped from RTK fixed to no fix")]),
+        (["rtk_fixed", "rtk_float"], [("warn", "fix dropped from RTK fixed to RTK float")]),
+        (["3d", "2d"], [("bad", "fix dropped from 3D to 2D")]),
         (["none", "2d", "3d", "rtk_fixed"], []),
         # What was no fix in space cannot be lost.
         (["2d", "none"], []),
         # One that flickers is told once, and again only after it was steady for a while.
-        (["rtk_fixed"] + ["rtk_float", "rtk_fixed"] * 5, [("warn", "fix fell from RTK fixed to RTK float")]),
+        (
+            ["rtk_fixed"] + ["rtk_float", "rtk_fixed"] * 5,
+            [("warn", "fix dropped from RTK fixed to RTK float")],
+        ),
         (
             ["rtk_fixed", "rtk_float", *["rtk_fixed"] * 7, "3d"],
             [
-                ("warn", "fix fell from RTK fixed to RTK float"),
+                ("warn", "fix dropped from RTK fixed to RTK float"),
                 ("note", "has RTK fixed"),
-                ("warn", "fix fell from RTK fixed to 3D"),
+                ("warn", "fix dropped from RTK fixed to 3D"),
             ],
         ),
         (
             ["rtk_fixed", "3d", "none"],
-            [("warn", "fix fell from RTK fixed to 3D"), ("bad", "fix fell from 3D to no fix")],
+            [("warn", "fix dropped from RTK fixed to 3D"), ("bad", "fix dropped from 3D to no fix")],
         ),
     ],
 )
@@ -219,7 +222,7 @@ def test_corrections_that_stop_are_told_once_and_their_return_too() -> None:
         state = state_after(state, [replace(part, log_ns=part.log_ns + second * SECOND)])
     assert [(alarm.level, alarm.text) for alarm in state.alarms] == [
         ("bad", "has corrections older than 30 s"),
-        ("note", "has fresh corrections again"),
+        ("note", "has recent corrections again"),
     ]
     assert [(alarm.time_ns - START) // SECOND for alarm in state.alarms] == [51, 80]
 
@@ -249,7 +252,7 @@ def test_a_time_mark_that_the_receiver_skipped_is_named() -> None:
     row = view_of(state).cameras[0]
     assert (row["time_marks"], row["time_marks_missed"]) == (8, 3)
     assert (row["state"].text, row["state"].level) == ("3 time marks missing: 2, 5-6", "bad")
-    assert told(state, "bad") == ["did not tell time mark 2", "did not tell time marks 5-6"]
+    assert told(state, "bad") == ["did not report time mark 2", "did not report time marks 5-6"]
 
 
 def test_alarms_of_the_recorder_and_texts_of_the_vehicle_are_passed_on() -> None:
@@ -283,7 +286,7 @@ def test_a_log_that_does_not_grow_is_told_and_its_growth_too() -> None:
 def test_a_log_with_its_end_is_no_failure() -> None:
     look = ComputerState(START, "a.mcap", 100, ended=False, free_bytes=None)
     state = looked(looked(RecordingState(last_ns=START), look), replace(look, ended=True))
-    assert told(state, "note") == ["a.mcap has its end"]
+    assert told(state, "note") == ["a.mcap is complete"]
     state = looked(state, replace(look, ended=True, time_ns=START + 60 * SECOND))
     assert told(state, "bad", "warn") == []
     assert view_of(state).recording.text == "ended"
@@ -434,7 +437,7 @@ def test_an_alarm_of_a_fix_is_cured_by_that_fix_and_not_by_a_lesser_one() -> Non
     fixes = ["rtk_fixed"] * 8 + ["none"] * 3 + ["3d"] * 8
     state = state_after(RecordingState(), [rows("/gnss/rover/status", GNSS_STATUS, *map(status, fixes))])
     assert [said for said in _said(state) if said[0] == "bad"] == [
-        ("bad", "fix fell from RTK fixed to no fix", "")
+        ("bad", "fix dropped from RTK fixed to no fix", "")
     ]
     later = rows("/gnss/rover/status", GNSS_STATUS, *map(status, ["rtk_fixed"] * 8))
     times = later.log_ns + 30 * SECOND

@@ -101,8 +101,8 @@ def test_nothing_yet_is_said_in_words() -> None:
     shown = "\n".join(text_of(RecordingState(), 80, 24))
     for word in (
         "waiting for a recording",
-        "no receiver has spoken yet",
-        "no link has spoken yet",
+        "no data from a receiver yet",
+        "no data on any link yet",
         "no position yet",
     ):
         assert word in shown

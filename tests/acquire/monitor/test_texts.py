@@ -74,7 +74,7 @@ def sentences(module: ModuleType) -> Iterator[str]:
 _COMPOSED = {
     "7: 77": ("rover: lost for 5 s", "vehicle: no fix, and 1 more"),
     "7 for 7 s": ("no data for 5 s", "lost for 5 s"),
-    "77 7": ("no feedback for picture 7", "no feedback for pictures 7-9", "did not tell time marks 7, 9"),
+    "77 7": ("no feedback for picture 7", "no feedback for pictures 7-9", "did not report time marks 7, 9"),
     "7 7 while it was written, recording continues in 7": (
         "a.mcap was deleted while it was written, recording continues in b.mcap",
         "a.mcap was moved to c.mcap while it was written, recording continues in b.mcap",

@@ -42,7 +42,7 @@ def test_site_antenna_and_control_file_ride_along(tmp_path: Path) -> None:
         ({"ublox": {"port": "usb"}}, "rate_ms"),
         ({"user": "me"}, "ntrip"),
         ({"position": [47.0, 8.0, 400.0]}, "ntrip"),
-        ({"position_from": "rover", "url": "ntrip://127.0.0.1/M"}, "no other link"),
+        ({"position_from": "rover", "url": "ntrip://127.0.0.1/M"}, "not another link"),
         ({"position": [95.0, 8.0, 400.0], "url": "ntrip://127.0.0.1/M"}, "90"),
         ({"corrections_to": ["nobody"]}, "nobody"),
     ],

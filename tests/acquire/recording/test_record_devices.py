@@ -100,7 +100,7 @@ def test_a_receiver_is_configured_and_verified(generation: int, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("receiver", "words"),
     [
-        (Receiver(7), "of no generation that can be configured"),
+        (Receiver(7), "cannot be configured: only generations 8, 9 and 10 can"),
         (Receiver(9, refuses=True), "ACK-NAK"),
         (Receiver(8, refuses=True), "ACK-NAK"),
         (Receiver(9, forgets=True), "lost it"),
@@ -175,5 +175,5 @@ def test_corrections_reach_the_rover_whole_and_the_vehicle_in_fragments(tmp_path
         )  # fmt: skip
     assert receiver.corrections == b"".join(sent)
     assert autopilot.corrections == sent[:-1]
-    assert "vehicle does not get RTCM 1077: 1029 bytes, at most 720 can be carried" in told
+    assert "vehicle does not get RTCM 1077: 1029 bytes, at most 720 can be sent" in told
     assert messages(done.paths[0], "/rover/sent") == sent

@@ -155,8 +155,8 @@ def test_without_a_position_nothing_is_told() -> None:
         (b"SOURCETABLE 200 OK\r\nContent-Length: 0\r\n\r\n", "does not have this mountpoint"),
         (b"HTTP/1.1 200 OK\r\nContent-Type: gnss/sourcetable\r\n\r\n", "does not have this mountpoint"),
         (b"HTTP/1.1 503 Busy\r\n\r\n", "503 Busy"),
-        (b"SSH-2.0\r\n", "not answer like a caster"),
-        (b"\xff" * 100_000, "not answer like a caster"),
+        (b"SSH-2.0\r\n", "not answer as an NTRIP caster"),
+        (b"\xff" * 100_000, "not answer as an NTRIP caster"),
     ],
 )
 def test_refusals_are_told_without_the_password(answer: bytes, words: str) -> None:

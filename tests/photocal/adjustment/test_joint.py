@@ -69,5 +69,5 @@ def test_inner_constraints() -> None:
 
 def test_a_name_that_is_none() -> None:
     network = networks.observe(networks.convergent(), np.random.default_rng(24))
-    with pytest.raises(ConfigurationError, match="point p99 is no unknown"):
+    with pytest.raises(ConfigurationError, match="point p99 is not an unknown"):
         joint_covariance(factored(network, adjust(network).state), [("point", "p99")])

@@ -123,7 +123,7 @@ def test_an_analysis_comes_back_as_it_was(made: Path, tmp_path: Path) -> None:
     assert np.isnan(back.effects[1].largest_px) == np.isnan(judged.effects[1].largest_px)
     text = (run / "analysis.json").read_text()
     (run / "analysis.json").write_text(text.replace('"alpha": 0.1', '"alpha": "a tenth"'))
-    with pytest.raises(InputMalformedError, match="alpha: 'a tenth' stands where"):
+    with pytest.raises(InputMalformedError, match="alpha: 'a tenth' found where"):
         read_run(run)
     (run / "analysis.json").write_text(text.replace("photocal.analysis/2", "photocal.analysis/1"))
     with pytest.raises(InputMalformedError, match=r"analysis/1.*run `photocal analyse` again"):

@@ -162,7 +162,7 @@ def test_a_correlated_parameter_with_a_real_effect_is_not_dropped_lightly() -> N
     r = np.eye(2)
     r[0, 1] = r[1, 0] = 0.97
     proposal = propose_removal(from_sigmas(("x0", "P1"), [0.1, 1e-2], [0.01, 1e-5], r))
-    assert "they carry a real effect" in sentences(proposal)[0]
+    assert "they describe a real effect" in sentences(proposal)[0]
     assert proposal.recommended == ()
     assert sentences(proposal)[-1].startswith("Proposal: keep all parameters")
 

@@ -101,7 +101,7 @@ def test_a_covariance_is_as_good_as_correlations(tmp_path: Path) -> None:
         (TABLE.replace("std_dev", "unit"), None, "no standard deviations"),
         (TABLE + "c,20.5,0.01\n", None, "comes twice"),
         (TABLE, "p,c,y0\nc,1,0.5\ny0,0.5,1\n", "the matrix is of c y0, the table of c x0"),
-        (TABLE, "p,c,x0\nc,1,0.5\nx0,0.4,1\n", "no symmetric matrix"),
+        (TABLE, "p,c,x0\nc,1,0.5\nx0,0.4,1\n", "not a symmetric matrix"),
         (TABLE, "p,c,x0\nc,1,0.5\nx0,0.5,0\n", "not positive"),
         (TABLE.replace("0.02", "-0.02"), None, "not a positive number"),
     ],

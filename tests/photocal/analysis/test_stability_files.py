@@ -38,7 +38,11 @@ GOOD = ENTRY.format("a") + "parameters = { c = 350.0 }\n" + ENTRY.format("b") + 
         ("[[camera", ConfigurationError, "is not valid TOML"),
         (GOOD.replace("unit", "units", 1), ConfigurationError, "unknown key camera.1.units"),
         (GOOD.replace('unit = "px"', 'unit = "mm"', 1), ConfigurationError, "pitch_mm is missing"),
-        (GOOD.replace("c = 350", "cc = 350"), ConfigurationError, "names cc, which is no camera parameter"),
+        (
+            GOOD.replace("c = 350", "cc = 350"),
+            ConfigurationError,
+            "names cc, which is not a camera parameter",
+        ),
         (
             GOOD.replace("c = 350", "c = -350"),
             ConfigurationError,
@@ -46,7 +50,11 @@ GOOD = ENTRY.format("a") + "parameters = { c = 350.0 }\n" + ENTRY.format("b") + 
         ),
         (GOOD.replace("c = 350.0", "c = nan"), ConfigurationError, "finite number"),
         (GOOD + "sigma = { c = -1.0 }\n", ConfigurationError, "greater than 0"),
-        (GOOD + "sigma = { z = 1.0 }\n", ConfigurationError, "sigma names z, which is no camera parameter"),
+        (
+            GOOD + "sigma = { z = 1.0 }\n",
+            ConfigurationError,
+            "sigma names z, which is not a camera parameter",
+        ),
         (
             GOOD + 'correlation = { names = ["c"], matrix = [[1.0]] }\n',
             ConfigurationError,

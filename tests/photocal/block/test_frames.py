@@ -116,7 +116,7 @@ def test_same_adjustment_in_a_projected_system(grid_block: Path, tmp_path: Path)
             "photocal fetch-grids EPSG:31982.5773",
         ),
         ('frame = "EPSG:2263"\nheight = "ellipsoidal"', ConfigurationError, "foot"),
-        ('frame = "Atlantis"', ConfigurationError, "no coordinate reference system"),
+        ('frame = "Atlantis"', ConfigurationError, "not a coordinate system"),
     ],
 )
 def test_frames_that_cannot_be_trusted(

@@ -138,11 +138,11 @@ def test_a_focus_between_two_calibrations() -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"photo_variant": {"k1": 1.0}}, "k1, which is no camera parameter"),
+        ({"photo_variant": {"k1": 1.0}}, "k1, which is not a camera parameter"),
         ({"photo_variant": {"c": "free"}, "estimate": ["c"]}, "free in every image"),
         ({"focus": {"distance_m": 0.04}}, "not beyond c"),
         ({"focus": {"distance_m": 2.0}, "unit": "px", "pitch_mm": None}, "needs c in mm"),
-        ({"focus": {"distance_m": 2.0, "calibrations": [{"distance_m": 1.0}]}}, "must be two"),
+        ({"focus": {"distance_m": 2.0, "calibrations": [{"distance_m": 1.0}]}}, "give two calibrations"),
     ],
 )
 def test_what_cannot_be(changes: dict[str, Any], said: str) -> None:

@@ -183,7 +183,7 @@ def test_roles_of_points_change_and_their_table_stays(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("error", "field"),
     [
-        ("crs = 'EPSG:2180+5773' needs us_nga_egm96_15.tif, which is not here", "project.crs"),
+        ("crs = 'EPSG:2180+5773' needs us_nga_egm96_15.tif, which is not installed", "project.crs"),
         ("project: crs = '?' is still to be filled in", "project.crs"),
         ("project: height = '?' is still to be filled in", "project.height"),
         ("rig.camera_to_antenna_m: value is not a valid tuple", "rig.camera_to_antenna_m"),

@@ -137,6 +137,6 @@ def test_a_system_without_geoid_is_refused(run: Path, tmp_path: Path) -> None:
     for name in ("images.csv", "points.csv", "residuals.csv"):
         (tmp_path / name).write_bytes((run / name).read_bytes())
     (tmp_path / "result.json").write_text(text)
-    with pytest.raises(ConfigurationError, match="says nothing of a geoid"):
+    with pytest.raises(ConfigurationError, match="does not name a geoid"):
         exported(tmp_path, tmp_path / "out", "--format", "colmap")
     assert not (tmp_path / "out").exists()

@@ -64,7 +64,7 @@ def test_opensfm_example(shared: Path) -> None:
     ("text", "message"),
     [
         ("[]", "no reconstruction"),
-        ("[{}]", "not the structure"),
+        ("[{}]", "lacks the structure"),
         (
             '[{"cameras": {"a": {"projection_type": "spherical", "width": 10, "height": 10}}, "shots": {}}]',
             "spherical",
@@ -73,9 +73,9 @@ def test_opensfm_example(shared: Path) -> None:
             '[{"cameras": {"a": {"projection_type": "brown", "width": 1e12, "height": 10}}, "shots": {}}]',
             "impossible",
         ),
-        ('[{"cameras": {"a": 5}, "shots": {}}]', "not the structure"),
+        ('[{"cameras": {"a": 5}, "shots": {}}]', "lacks the structure"),
         ('[{"cameras": {}, "shots": {"i": {"rotation": [0, 0, Infinity]}}}]', "not finite"),
-        ('[{"cameras": {}, ', "no valid JSON"),
+        ('[{"cameras": {}, ', "not valid JSON"),
     ],
 )
 def test_bad_reconstruction(tmp_path: Path, text: str, message: str) -> None:

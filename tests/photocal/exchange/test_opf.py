@@ -135,7 +135,7 @@ def _uncalibrated(content: dict) -> None:  # type: ignore[type-arg]
         ("calibrated_cameras.json", _shutter, "rolling shutter"),
         ("calibrated_cameras.json", _fisheye, "no equivalent"),
         ("calibrated_cameras.json", _unknown_sensor, "unknown sensor"),
-        ("calibrated_cameras.json", _short, "not the structure"),
+        ("calibrated_cameras.json", _short, "lacks the structure"),
         ("calibrated_cameras.json", _future, "version 2.0"),
         ("project.opf", _outside, "not inside its folder"),
         ("project.opf", _web, "neither there nor beside"),

@@ -45,7 +45,7 @@ ELSEWHERE = {
     "the network is {} (rank defect {}): {}",
     "{} = {} is not {}",
     "crs = {}{}",
-    "photocal fetch-grids {} brings it; without it: crs = {} and {}",
+    "photocal fetch-grids {} installs it; without it: crs = {} and {}",
     "{} needs more than {} bits of {}",
     "{} cells in one message, {} are allowed",
     "{} does not fit {} bits",

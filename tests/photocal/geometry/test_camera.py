@@ -55,5 +55,5 @@ def test_parameters_not_named_are_zero_and_held() -> None:
 
 
 def test_an_unknown_parameter_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="'f' is no parameter of a camera; use c, x0"):
+    with pytest.raises(ConfigurationError, match="'f' is not a camera parameter; use c, x0"):
         camera("a", "brown-ideal", "px", (10, 10), (1, 1), {"f": 12.0})

@@ -54,9 +54,9 @@ def test_twins_and_heights() -> None:
     places = np.vstack([PLACES, PLACES[0], PLACES[1] + [0.4, 0.3, 0.0], PLACES[2] + [0, 0, 0.5]])
     told = list(twins(points(places), SAY))
     assert told == [
-        "P0 and P6 stand at one place: two names of one point",
+        "P0 and P6 have one position: two names of one point",
         "P1 and P7 stand 0.50 m apart: are they one point?",
-        "P2 and P8 stand at one place with the heights 112 and 112.5: which is right?",
+        "P2 and P8 have one position, with the heights 112 and 112.5: which is right?",
     ]
     feet = PLACES.copy()
     feet[3, 2] /= 0.3048
@@ -65,5 +65,5 @@ def test_twins_and_heights() -> None:
     assert "in feet" in one
     level = PLACES * [1.0, 1.0, 0.0] + [0.0, 0.0, 30.0]
     assert list(heights_apart(points(level), SAY)) == [
-        "the heights of all 6 points are 30, which a survey hardly gives"
+        "the heights of all 6 points are 30, which is improbable"
     ]

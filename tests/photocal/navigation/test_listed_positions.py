@@ -243,7 +243,7 @@ def in_week(row: str, seconds: float) -> str:
 SPOILT: dict[str, tuple[Change, str]] = {
     "two flights that count from 1": (
         lambda rows: [*rows[:6], *renumbered([later(row) for row in rows[6:]])],
-        "line 7: has another place for event 1 than line 1: two flights in one list",
+        "line 7: has another position for event 1 than line 1: two flights in one list",
     ),
     "a decimal comma": (with_line(6, height="512,998,Ellh"), "line 6: is not an event"),
     "a head": (lambda rows: ["Number\tTime", *rows], "line 1: is not an event"),
@@ -274,7 +274,7 @@ def test_a_line_that_is_missing_is_told(photocal: Photocal, tmp_path: Path) -> N
     pictures(tmp_path / "DJI_001")
     (tmp_path / "x_Timestamp.MRK").write_text("\n".join([*lines()[:5], *lines()[6:]]) + "\n")
     told = json.loads(photocal("new", tmp_path, "--json").out)["missing"]
-    assert "x_Timestamp.MRK has 11 of the 12 pictures: positions of DJI_0006.JPG stay their own" in told
+    assert "x_Timestamp.MRK has 11 of the 12 pictures: stated positions are kept for DJI_0006.JPG" in told
 
 
 def between(one: str, other: str) -> str:

@@ -152,10 +152,10 @@ def test_bad_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputNotFoundError, match="does not exist"):
         Trajectory.read(tmp_path / "none.parquet")
     (tmp_path / "text.parquet").write_text("no table")
-    with pytest.raises(InputMalformedError, match="is no table of ours"):
+    with pytest.raises(InputMalformedError, match="is not a table of photocal"):
         Trajectory.read(str(tmp_path / "text.parquet"))
     pyarrow.parquet.write_table(pa.table({"lat_deg": [1.0]}), tmp_path / "foreign.parquet")
-    with pytest.raises(InputMalformedError, match="is no table of ours"):
+    with pytest.raises(InputMalformedError, match="is not a table of photocal"):
         Trajectory.read(tmp_path / "foreign.parquet")
     small().write(tmp_path / "whole.parquet")
     with pytest.raises(InputMalformedError, match=r"photocal\.Trajectory/1.*photocal\.Exposures/1"):

@@ -200,8 +200,8 @@ def test_points_of_a_table(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["-o", "lines.kml", "--interval", "1"], "has no known ending"),
-        (["-o", "lines.dxf", "--interval", "0"], "cannot be"),
+        (["-o", "lines.kml", "--interval", "1"], "has no known extension"),
+        (["-o", "lines.dxf", "--interval", "0"], "are impossible"),
         (["-o", "lines.dxf", "--interval", "500"], "choose a smaller interval"),
         (["-o", "lines.dxf", "--interval", "1e-4"], "choose a larger interval"),
         (["-o", "lines.dxf", "--interval", "1", "--heights", "ellipsoidal"], "correct the kind"),

@@ -190,7 +190,7 @@ def test_exit_codes_of_unsigned_unknown_known_and_revoked(
     assert photocal("verify", folder, "--trust").code == 4
     assert "revoked on 2026-11-22" in photocal("keys").out
     revoked.write_text(f"{key} soon\n", encoding="utf-8")
-    assert "line 1: 'soon' is no day" in photocal("verify", folder, "--revoked", revoked).err
+    assert "line 1: 'soon' is not a date" in photocal("verify", folder, "--revoked", revoked).err
     # Who has it may not sign with it any more.
     office = as_user("office")
     (office / "revoked_keys.txt").write_text(f"{key} 2026-11-22\n", encoding="utf-8")
@@ -242,7 +242,7 @@ def test_a_key_ends_on_its_last_day(
     as_user("office")
     answer = photocal("sign", folder)
     assert answer.code == 5
-    assert "the own key expired on 2026-12-31" in answer.err
+    assert "your own key expired on 2026-12-31" in answer.err
 
 
 def test_an_unsigned_certificate_has_a_code_of_its_own(
@@ -260,8 +260,8 @@ def test_an_unsigned_certificate_has_a_code_of_its_own(
     [
         ("ABCD " * 10 + "Lab\u2028" + "0123 " * 10 + BIG, "U+2028"),
         ("ABCD " * 10 + "Lab\x0b" + "0123 " * 10 + BIG, "U+000B"),
-        ("WXYZ " * 10 + "Lab", "is no key"),
-        ("ABCD " * 10 + "Lab\n" + "abcd " * 10 + "Lab", "stands above already"),
+        ("WXYZ " * 10 + "Lab", "is not a key"),
+        ("ABCD " * 10 + "Lab\n" + "abcd " * 10 + "Lab", "already listed above"),
     ],
 )
 def test_a_list_of_keys_means_one_thing(
@@ -344,7 +344,7 @@ def test_a_later_layer_of_the_pdf_is_found(
         sign_again(settings, folder, files=digests)
     answer = photocal("verify", folder)
     assert answer.code == 4
-    assert "certificate.pdf does not say what the figures give" in answer.out or not key
+    assert "certificate.pdf does not agree with the figures" in answer.out or not key
     assert "certificate.pdf was changed after signing" in answer.out or key
 
 

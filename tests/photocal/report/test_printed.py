@@ -57,7 +57,7 @@ def test_pixel_size_of_its_text_requires_a_new_calibration(tmp_path: Path) -> No
     ("old", "new", "message"),
     [
         ('unit = "mm"', 'unit = "cm"', "calibration.unit"),
-        ("[-0.11, 1],", "[-0.11],", "no lower triangle"),
+        ("[-0.11, 1],", "[-0.11],", "not a lower triangle"),
         ("c = [3673.03, 0.28]", "c = [-3673.03, 0.28]", "c must be positive"),
         ("gsd_cm", "gsd", "campaign.gsd"),
     ],

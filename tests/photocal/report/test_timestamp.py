@@ -157,7 +157,7 @@ def test_a_damaged_stamp_is_refused(authority: Authority, signature: Path, cut: 
     stamp(signature, authority.address)
     path = signature.with_name(STAMP)
     path.write_bytes(path.read_bytes()[:cut])
-    with pytest.raises(InputMalformedError, match="is no time stamp"):
+    with pytest.raises(InputMalformedError, match="is not a time stamp"):
         stamped(signature)
 
 
@@ -178,7 +178,7 @@ def test_each_byte_of_a_stamp_counts(authority: Authority, signature: Path) -> N
 
 @pytest.mark.parametrize(
     ("path", "refusal", "match"),
-    [("large", InputMalformedError, "too large"), ("page", InputMalformedError, "no time stamp")],
+    [("large", InputMalformedError, "too large"), ("page", InputMalformedError, "not a time stamp")],
 )
 def test_an_authority_that_answers_otherwise(
     authority: Authority, signature: Path, path: str, refusal: type[Exception], match: str
@@ -192,14 +192,14 @@ def test_an_old_answer_is_refused(authority: Authority, signature: Path) -> None
     """What was stamped before is sent again: its nonce is another one."""
     stamp(signature, authority.address)
     signature.with_name(STAMP).unlink()
-    with pytest.raises(InputMalformedError, match="stamps something else"):
+    with pytest.raises(InputMalformedError, match="time stamp is of other data"):
         stamp(signature, authority.address + "again")
 
 
 def test_what_cannot_be_asked(signature: Path, tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="does not answer"):
         stamp(signature, "http://127.0.0.1:9/")
-    with pytest.raises(ConfigurationError, match="no http or https"):
+    with pytest.raises(ConfigurationError, match="not an http or https"):
         stamp(signature, "file:///etc/passwd")
     with pytest.raises(InputNotFoundError, match="no signature"):
         stamp(tmp_path / "missing" / "signature.json", "http://127.0.0.1:9/")

@@ -71,7 +71,7 @@ def test_a_list_of_exposures_goes_to_its_own_flight_alone(tmp_path: Path) -> Non
     rows = "".join(event.format(k) for k in range(210, 213))
     (tmp_path / "DCIM" / MISSIONS[0] / f"{MISSIONS[0]}_Timestamp.MRK").write_text(rows)
     answer = new(tmp_path)
-    assert any("a list of exposures counts its own flight" in line for line in answer["missing"])
+    assert any("each flight numbers its exposures anew" in line for line in answer["missing"])
     assert read_project(tmp_path / "project.toml").images.positions is None
 
 

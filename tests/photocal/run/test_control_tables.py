@@ -235,7 +235,7 @@ def test_a_head_says_the_kind_of_heights(folder: Path, photocal: Photocal, head:
     found = new(photocal, folder)
     assert key(folder, "height") == height
     assert control(folder)["G1"][2] == 912.4
-    assert any(f"by the head {head!r}" in line for line in found["found"]) is (height != "?")
+    assert any(f"by the heading {head!r}" in line for line in found["found"]) is (height != "?")
 
 
 def test_what_a_person_says_of_heights_stands_before_the_head(folder: Path, photocal: Photocal) -> None:
@@ -259,7 +259,7 @@ def test_feet_stay_in_a_map_in_feet(folder: Path, photocal: Photocal) -> None:
     degrees = Transformer.from_crs("EPSG:32618", "EPSG:4326", always_xy=True).transform(east_m, north_m)
     assert degrees == pytest.approx((-74.0, 40.7), abs=1e-7)
     assert up_m == pytest.approx(100 * 1200 / 3937, abs=1e-3)
-    assert not any("as its heads state" in line for line in found["found"])
+    assert not any("as its headings state" in line for line in found["found"])
 
 
 @pytest.mark.parametrize(
@@ -347,7 +347,7 @@ def test_results_of_mmvii_are_called_so(folder: Path, photocal: Photocal) -> Non
     (folder / "Ori" / "Ori-PerspCentral-a0.jpg.xml").write_text(written)
     found = new(photocal, folder)
     (left,) = (line for line in found["missing"] if "not used" in line)
-    assert "Ori has what MMVII has computed, which is no observation" in left
+    assert "Ori has results of MMVII, which are not observations" in left
     said = photocal("adopt", folder, "-o", folder / "out")
     assert said.code != 0
     assert "has orientations of MMVII, whose form is not read" in said.err

@@ -142,7 +142,7 @@ def event(number: int, place: Place) -> str:
     ("places", "used", "said"),
     [
         (POINTS, True, ""),
-        (POINTS[:3], True, "has 3 of the 4 pictures: positions of DJI_0003.JPG stay their own"),
+        (POINTS[:3], True, "has 3 of the 4 pictures: stated positions are kept for DJI_0003.JPG"),
         ([(lon, lat + 0.06, h) for lon, lat, h in POINTS], False, "is it the table of another flight?"),
         ([(0.0, 0.0, 0.0)] * 4, False, "4 of 4 positions of the list are impossible"),
         ([*POINTS[:3], (0.0, 0.0, 0.0)], False, "(line 4)"),

@@ -36,8 +36,8 @@ def told(folder: Path, output: str, more: str = PICTURES) -> str:
         ("..", PICTURES, "holds the project itself"),
         ("images", PICTURES, "holds the pictures"),
         ("images/../images/.", PICTURES, "holds the pictures"),
-        ("block", BLOCK, "and the block folder lie in each other"),
-        ("block/work", BLOCK, "and the block folder lie in each other"),
+        ("block", BLOCK, "and the block folder: one contains the other"),
+        ("block/work", BLOCK, "and the block folder: one contains the other"),
     ],
 )
 def test_it_is_refused(output: str, more: str, why: str, tmp_path: Path) -> None:
@@ -64,7 +64,7 @@ def test_a_link_to_the_pictures_is_the_pictures(tmp_path: Path) -> None:
 def test_files_of_others_are_not_mixed_with(tmp_path: Path) -> None:
     (tmp_path / "taxes").mkdir()
     (tmp_path / "taxes" / "2026.pdf").write_bytes(b"%PDF")
-    with pytest.raises(ConfigurationError, match=r"holds what no run has written, first 2026\.pdf"):
+    with pytest.raises(ConfigurationError, match=r"contains files that no run has written, first 2026\.pdf"):
         told(tmp_path, "taxes")
 
 

@@ -158,7 +158,7 @@ def test_the_command_says_what_is_missing(
             3,
             "result.json: does not exist",
         ),
-        ((survey.file, "--address", "here"), 5, "is no HOST:PORT"),
+        ((survey.file, "--address", "here"), 5, "is not of the form HOST:PORT"),
     ):
         told = photocal("mark", *arguments)
         assert told.code == code, told
