@@ -238,9 +238,13 @@ def headline(verdict: Verdict, say: Catalogue) -> str:
 
 def line_text(line: VerdictLine, say: Catalogue) -> str:
     """Say one line: what, its effect in the user's unit, what to do."""
+    return " ".join(filter(None, (_shown(line, say), remedy_text(line.worst, say))))
+
+
+def _shown(line: VerdictLine, say: Catalogue) -> str:
+    """Say what a line shows, and its effect in the user's unit."""
     text = _grouped(line, say) if line.subjects else sentence(line.worst, say, plain, brief=True)
-    effect = _effect_text(line.worst.size, say)
-    return " ".join(filter(None, (text, effect, remedy_text(line.worst, say))))
+    return " ".join(filter(None, (text, _effect_text(line.worst.size, say))))
 
 
 def _grouped(line: VerdictLine, say: Catalogue) -> str:
@@ -305,8 +309,8 @@ def _length(metres: float, say: Catalogue) -> str:
 
 
 def verdict_text(verdict: Verdict, say: Catalogue) -> list[str]:
-    """Say all of a verdict: the paragraph, then its lines."""
-    lines = [line_text(line, say) for line in verdict.lines]
+    """Say all of a verdict: the paragraph, which ends with the first remedy, then its lines."""
+    lines = [line_text(line, say) if k else _shown(line, say) for k, line in enumerate(verdict.lines)]
     if verdict.beyond:
         lines.append(say("judgement.beyond", n=verdict.beyond))
     return [headline(verdict, say), *lines]

@@ -93,6 +93,14 @@ def test_a_camera_whose_c_the_heights_hold_is_not_carried_without_a_word(
     assert ("heights" in headline(verdict, EN)) == (answer == "on-heights")
 
 
+def test_each_sentence_of_a_verdict_stands_once() -> None:
+    worst = Finding("block-not-placed", "doubtful", clauses=())
+    for findings in ([worst], [image("a.jpg", 1.6)], [worst, image("a.jpg", 1.6)]):
+        said = " ".join(verdict_text(judge(findings), EN))
+        sentences = [part.strip(" .") for part in said.replace("First: ", "").split(". ")]
+        assert len(sentences) == len(set(sentences)) > 2
+
+
 def test_alike_findings_are_one_line_with_their_neighbours() -> None:
     names = [f"DJI_20260314_{k:04d}" for k in (3, 572, 573, 574, 575, 580, 654)]
     given = [image(name, 1.2 + 0.05 * k) for k, name in enumerate(names)]
