@@ -206,7 +206,7 @@ def test_a_point_of_look_is_marked_at_its_place(browser: Browser, finished: Path
 def test_it_speaks_portuguese(browser: Browser, made: Path, tmp_path: Path) -> None:
     with looking(browser, made, tmp_path / "cache", "pt-BR") as page:
         expect(page.locator(".summary .sign")).to_contain_text("utilizável com ressalvas")
-        expect(page.locator(".finding").first).to_contain_text("erros grosseiros")
+        expect(page.locator(".finding").first).to_contain_text("erro grosseiro")
         expect(page.locator("#tab-plots")).to_have_text("Gráficos")
 
 
