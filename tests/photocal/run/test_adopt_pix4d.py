@@ -158,7 +158,7 @@ def test_our_own_figures_come_back(
     assert (block.frame, block.height) == (SYSTEM, "unstated")
     assert any("do not state the reference of their heights" in line for line in figures["remarks"])
     text = adoption_text(figures)
-    assert "beside ours" in text
+    assert "compared with ours" in text
     assert not re.search(r"\de-\d\d\s+\+-\s+\d+e-2\d", text)
 
 
