@@ -327,7 +327,7 @@ def test_control_of_a_map_in_feet_comes_to_metres(pictures: Path, tmp_path: Path
     own = "+proj=tmerc +lat_0=0 +lon_0=19 +k=0.9993 +x_0=500000 +y_0=-5300000 +ellps=GRS80 +units=us-ft"
     site_folder(pictures, tmp_path / "f", typed, first=own)
     found = new(photocal, tmp_path / "f")
-    assert any("in US survey foot, taken to EPSG:32634 and metres" in line for line in found["found"])
+    assert any("in US survey foot, transformed to EPSG:32634" in line for line in found["found"])
     assert not any(line.startswith("crs") for line in found["asked"])
     with (tmp_path / "f/control.csv").open() as table:
         placed = {row["point"]: row for row in csv.DictReader(table)}
