@@ -155,7 +155,7 @@ def test_absent_pictures_twins_and_single_marks_are_named_before_any_work(
     told = " ".join(new(photocal, tmp_path / "f")["doubtful"])
     assert "2 pictures of 8 not in the folder: p4.jpg, p5.jpg" in told
     assert re.search(r"G1 and G7 have one position, with the heights 110 and 110\.5", told)
-    assert "G1 and G8 stand 0.20 m apart" in told
+    assert "G1 and G8 are 0.20 m apart" in told
     assert "G6" in told
     assert {mark.image for mark in read_marks(tmp_path / "f/marks.csv")}.isdisjoint({"p4.jpg", "p5.jpg"})
 
