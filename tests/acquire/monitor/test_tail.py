@@ -191,7 +191,7 @@ def test_a_file_that_vanishes_and_a_damaged_chunk_are_told_in_words(tmp_path: Pa
     assert "chunk" in tail.trouble
     path.unlink()
     assert read_once(tail) == []
-    assert "is gone" in tail.trouble
+    assert "is missing" in tail.trouble
 
 
 def read_once(tail: Tail) -> list[int]:

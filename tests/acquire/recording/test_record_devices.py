@@ -103,8 +103,8 @@ def test_a_receiver_is_configured_and_verified(generation: int, tmp_path: Path) 
         (Receiver(7), "cannot be configured: only generations 8, 9 and 10 can"),
         (Receiver(9, refuses=True), "ACK-NAK"),
         (Receiver(8, refuses=True), "ACK-NAK"),
-        (Receiver(9, forgets=True), "lost it"),
-        (Receiver(8, forgets=True), "lost it"),
+        (Receiver(9, forgets=True), "did not keep it"),
+        (Receiver(8, forgets=True), "did not keep it"),
     ],
 )
 def test_a_receiver_that_is_not_configured_raises_an_alarm(

@@ -74,7 +74,7 @@ def test_positions_for_the_map_in_any_order(read: Callable[[str], Discrepancies]
         ("point,dE\nA,1\n", "no column dn"),
         ("point,E,N\nA,1,2\n", "no column dE"),
         ("point,dE,dN,dX\nA,1,2,3\n", "line 1: unknown column 'dX'"),
-        ("point,dE,dE,dN\nA,1,2,3\n", "stands twice"),
+        ("point,dE,dE,dN\nA,1,2,3\n", "appears twice"),
         ("point,dE_inch,dN\nA,1,2\n", "unknown unit 'inch'"),
         ("point,dE,dN\nA,1,2\nA,1,2\n", "line 3: point A is listed twice"),
         ("point,dE,dN\n,1,2\n", "line 2: point is empty"),

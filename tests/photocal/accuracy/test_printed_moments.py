@@ -50,10 +50,10 @@ def test_moments_say_what_their_points_say(photocal: Callable[..., Answer], tmp_
     [
         ("component,n\nE,9\n", "has no moments"),
         ("component,n,mean_m,std_m\nE,9,0.1,0.1\n", "only one of E and N"),
-        ("component,n,mean_m,std_m\nh,1,0.1,0.1\n", "two or more points"),
+        ("component,n,mean_m,std_m\nh,1,0.1,0.1\n", "whole number of at least 2"),
         ("component,n,mean_m,std_m\nh,9,0.1,-0.1\n", "std_m is negative"),
         ("component,n,mean_m,std_m\nz,9,0.1,0.1\n", "component is not known"),
-        ("component,n,mean_m,std_m\nh,9,0.1,0.1\nh,9,0.1,0.1\n", "stands twice"),
+        ("component,n,mean_m,std_m\nh,9,0.1,0.1\nh,9,0.1,0.1\n", "appears twice"),
     ],
 )
 def test_what_are_no_moments(tmp_path: Path, text: str, message: str) -> None:

@@ -381,7 +381,7 @@ def test_what_no_block_folder_can_hold_is_refused(tmp_path: Path) -> None:
     for bad, words in (
         (replace(block, mounting=replace(NO_MOUNTING, values=shifted)), "does not begin at zero"),
         (replace(block, mounting=turned), "not along those of the body"),
-        (related, "a kind of your own"),
+        (related, "a user-defined kind"),
         (replace(block, height="above the sea"), "height"),
     ):
         with pytest.raises(PhotocalError, match=words):

@@ -174,7 +174,7 @@ def test_check_prints_its_tables_in_the_language(
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        ([], "all grids of EPSG:31982 are here"),
+        ([], "all grids of EPSG:31982 are installed"),
         (["--lang", "pt-BR"], "todas as grades de EPSG:31982 estão aqui"),
     ],
 )

@@ -38,5 +38,5 @@ def test_a_distance_on_the_ground_times_the_factor_is_that_of_the_map() -> None:
 
 def test_what_is_no_map_has_no_scale() -> None:
     """Degrees have no scale."""
-    with pytest.raises(ConfigurationError, match="no map system"):
+    with pytest.raises(ConfigurationError, match="not a map system"):
         combined_factor("EPSG:4674", np.array([[-25.0, -49.0, 0.0]]))

@@ -128,5 +128,6 @@ def test_a_scale_that_is_held_and_wrong_inputs(photocal: Photocal, tmp_path: Pat
     assert "--without" in photocal(*given, "--without", "Q").err
     assert "common points" in photocal(*given, "--without", "A,B,C,D").err
     assert (
-        "no map system" in photocal("localise", local, mapped, "--crs", "EPSG:4674", "-o", tmp_path / "o").err
+        "not a map system"
+        in photocal("localise", local, mapped, "--crs", "EPSG:4674", "-o", tmp_path / "o").err
     )

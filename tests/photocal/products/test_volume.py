@@ -167,7 +167,7 @@ TABLE = "section,point,X,Y,Z\na,1,1,0,0\na,2,0,1,0\na,3,-1,0,0\na,4,0,-1,0\n"
         (lambda t: t, ["--sigma", "0.1", "--radius", "1", "--radius-sigma", "0"], 5, "both"),
         (lambda t: t, ["--sigma", "0.1", "--height", "1"], 5, "given without the other"),
         (lambda t: t, ["--sigma", "0.1", "--vertical", "up"], 5, "not an axis"),
-        (lambda t: t, ["--sigma", "0.1", "--plot", "rings.bmp"], 5, "known ending"),
+        (lambda t: t, ["--sigma", "0.1", "--plot", "rings.bmp"], 5, "known extension"),
         (lambda t: t.replace("a,4", "a,3"), ["--sigma", "0.1"], 4, "line 5: the point appears twice"),
         (lambda t: t.replace("-1,0,0", "one,0,0"), ["--sigma", "0.1"], 4, "line 4: X is 'one'"),
         (lambda t: t[: t.index("a,3")], ["--sigma", "0.1"], 6, "section a"),

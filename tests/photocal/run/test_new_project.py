@@ -83,8 +83,8 @@ def test_what_another_program_has_computed(folder: Path, f: float, taken: bool) 
     external = params / "field_calibrated_external_camera_parameters.txt"
     external.write_text("\n".join(["imageName X Y Z Omega Phi Kappa", *rows]))
     made = new_project(folder)
-    (told,) = (line for line in made.missing if "no observation" in line)
-    assert told.startswith("not used: 1_initial/params has what Pix4D has computed")
+    (told,) = (line for line in made.missing if "not observations" in line)
+    assert told.startswith("not used: 1_initial/params has results of Pix4D")
     camera = read_project(made.path).cameras[0]
     other = [line for line in made.missing if "is of another camera: c is 274 px there, and 137 px" in line]
     assert bool(other) is not taken

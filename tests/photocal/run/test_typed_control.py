@@ -171,7 +171,7 @@ def test_absent_pictures_twins_and_single_marks_are_named_before_any_work(
     told = " ".join(new(photocal, tmp_path / "f")["doubtful"])
     assert "2 pictures of 8 not in the folder: p4.jpg, p5.jpg" in told
     assert re.search(r"G1 and G7 have one position, with the heights 110 and 110\.5", told)
-    assert "G1 and G8 stand 0.20 m apart" in told
+    assert "G1 and G8 are 0.20 m apart" in told
     assert "G6" in told
     assert {mark.image for mark in read_marks(tmp_path / "f/marks.csv")}.isdisjoint({"p4.jpg", "p5.jpg"})
 
@@ -343,7 +343,7 @@ def test_control_of_a_map_in_feet_comes_to_metres(pictures: Path, tmp_path: Path
     own = "+proj=tmerc +lat_0=0 +lon_0=19 +k=0.9993 +x_0=500000 +y_0=-5300000 +ellps=GRS80 +units=us-ft"
     site_folder(pictures, tmp_path / "f", typed, first=own)
     found = new(photocal, tmp_path / "f")
-    assert any("in US survey foot, taken to EPSG:32634 and metres" in line for line in found["found"])
+    assert any("in US survey foot, transformed to EPSG:32634" in line for line in found["found"])
     assert not any(line.startswith("crs") for line in found["asked"])
     with (tmp_path / "f/control.csv").open() as table:
         placed = {row["point"]: row for row in csv.DictReader(table)}

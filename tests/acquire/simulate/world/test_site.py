@@ -271,7 +271,7 @@ def test_one_field_for_several_flights() -> None:
     [
         ("place", {"start_utc": "2025-06-15T14:00:00"}, "zone"),
         ("place", {"start_utc": "2031-06-15T14:00:00Z"}, "must lie between"),
-        ("place", {"crs": "EPSG:4326"}, "no map in metres"),
+        ("place", {"crs": "EPSG:4326"}, "not a map in metres"),
         ("place", {"crs": "EPSG:1"}, "not known"),
         ("plan", {"area_m": [[0, 0], [9, 9], [18, 18]]}, "square metre"),
         ("plan", {"pass": [{"height_m": 3, "course_deg": 0, "speed_m_s": 3}]}, "too low"),
