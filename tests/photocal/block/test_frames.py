@@ -108,7 +108,7 @@ def test_same_adjustment_in_a_projected_system(grid_block: Path, tmp_path: Path)
 @pytest.mark.parametrize(
     ("frame", "error", "says"),
     [
-        ('frame = "EPSG:31982"', ConfigurationError, "kind of the heights"),
+        ('frame = "EPSG:31982"', ConfigurationError, "the height kind of frame"),
         ('frame = "EPSG:31982+5773"\nheight = "ellipsoidal"', ConfigurationError, "vertical"),
         (
             'frame = "EPSG:31982+5773"\nheight = "orthometric"',

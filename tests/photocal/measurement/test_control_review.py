@@ -55,7 +55,7 @@ def test_twins_and_heights() -> None:
     told = list(twins(points(places), SAY))
     assert told == [
         "P0 and P6 have one position: two names of one point",
-        "P1 and P7 stand 0.50 m apart: are they one point?",
+        "P1 and P7 are 0.50 m apart: are they one point?",
         "P2 and P8 have one position, with the heights 112 and 112.5: which is right?",
     ]
     feet = PLACES.copy()
