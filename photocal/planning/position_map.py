@@ -55,13 +55,15 @@ def position_differences(
     """Reduce observed antenna positions to the camera and compare them with the adjusted centres.
 
     rotation, station: adjusted, of all images, in the local frame; positions: in the same frame.
-    adjusted: lever arm, boresight (rad) and time offset by name where the adjustment estimated them.
+    adjusted: lever arm, boresight (deg) and time offset by name, as results have them.
     """
     if not len(positions.image):
         return None
     values = mounting.values.copy()
-    for part, key in ((LEVER, "lever_arm"), (BORESIGHT, "boresight")):
-        values[part] = [adjusted.get(f"{key}_{axis}", v) for axis, v in zip("xyz", values[part], strict=True)]
+    for part, key, unit in ((LEVER, "lever_arm", 1.0), (BORESIGHT, "boresight", np.radians(1.0))):
+        found = (adjusted.get(f"{key}_{axis}") for axis in "xyz")
+        both = zip(found, values[part], strict=True)
+        values[part] = [given if one is None else unit * one for one, given in both]
     values[TIME] = adjusted.get("time_offset", values[TIME])
     at = positions.image
     arm = np.swapaxes(rotation[at], 1, 2) @ (body_to_camera(mounting, values) @ values[LEVER])

@@ -91,3 +91,43 @@ def _strips(block: Block) -> list[int]:
     pairs = zip(block.positions.image.tolist(), block.positions.strip.tolist(), strict=True)
     of_image = dict(pairs)
     return [of_image[k] for k in range(len(block.images.names))]
+
+
+def test_a_camera_that_is_turned_against_the_body(photocal: Callable[..., Answer], tmp_path: Path) -> None:
+    """Differences by the true rig and the adjusted orientations, with rotations of scipy."""
+    lever, turn = np.array([0.30, 0.05, -0.25]), (2.0, -1.5, 3.0)
+    stated = (
+        f"lever_arm_m = {lever.tolist()}\nboresight_deg = {list(turn)}\n"
+        "boresight_sigma_deg = [1.0, 1.0, 1.0]\n"
+    )
+    errors = Errors(lever_arm_m=tuple(lever.tolist()), boresight_deg=turn)
+    folder = fly(tmp_path / "block", np.random.default_rng(3), errors, Plan(mounting=stated))
+    adjust_block(folder, tmp_path / "run")
+    said = photocal("flown", folder, "--run", tmp_path / "run", "-o", tmp_path / "flown")
+    assert said.code == 0, said.err
+    found, observed, adjusted = (
+        _by_image(path)
+        for path in (
+            tmp_path / "flown" / "positions.csv",
+            folder / "positions.csv",
+            tmp_path / "run" / "images.csv",
+        )
+    )
+    # Body axes forward, right, down; photo axes right, forward, up of a camera that looks down.
+    nadir = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    arm = Rotation.from_rotvec(np.radians(turn)).as_matrix() @ nadir @ lever
+    assert len(found) == len(observed) == len(adjusted)
+    for image, row in found.items():
+        angles = [float(adjusted[image][name]) for name in ("omega", "phi", "kappa")]
+        to_object = Rotation.from_euler("XYZ", angles, degrees=True)
+        place, antenna = (
+            np.array([float(one[axis]) for axis in "XYZ"]) for one in (adjusted[image], observed[image])
+        )
+        difference = [float(row[f"d{axis}_m"]) for axis in "XYZ"]
+        # The adjusted boresight is known to some thousandths of a degree.
+        assert difference == pytest.approx(antenna - to_object.apply(arm) - place, abs=5e-4)
+
+
+def _by_image(path: Path) -> dict[str, dict[str, str]]:
+    with path.open(encoding="utf-8") as stream:
+        return {row["image"]: row for row in csv.DictReader(stream)}
