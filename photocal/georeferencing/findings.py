@@ -41,6 +41,12 @@ def control_by_strip(block: Block, names: Sequence[str], strip: Integers) -> lis
     return rows
 
 
+def held_by_positions(block: Block) -> bool:
+    """Whether positions better than navigation fixes hold strips that show no control."""
+    of_images, of_positions = block.images.sigma[:, 3:5], block.positions.stated()[:2]
+    return any(bool((sigma < policy.coarse_m).any()) for sigma in (of_images, of_positions))
+
+
 def strip_findings(block: Block, result: Georeferenced, target_m: float | None = None) -> tuple[Finding, ...]:
     """Name strips without control where nothing else holds them: no positions better than navigation fixes.
 
@@ -48,10 +54,8 @@ def strip_findings(block: Block, result: Georeferenced, target_m: float | None =
     """
     # Shorter ones are turns.
     fewest_images = 3
-    stated = block.images.sigma[:, 3:5]
-    held = len(block.positions.image) > 0 or (np.isfinite(stated) & (stated < policy.coarse_m)).any()
     known = np.flatnonzero(np.isfinite(result.exposures).all(axis=1))
-    if held or len(block.cameras) > 1 or len(known) < 2 * fewest_images:
+    if held_by_positions(block) or len(block.cameras) > 1 or len(known) < 2 * fewest_images:
         return ()
     time = block.images.time[known]
     timed = np.isfinite(time).all()

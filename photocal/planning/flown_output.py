@@ -42,7 +42,7 @@ def flown_text(figures: Mapping[str, Any], say: Catalogue) -> str:
     bare = [row for row in figures.get("control_by_strip", ()) if not row["control_points"]]
     some = any(row["control_points"] for row in figures.get("control_by_strip", ()))
     lines = []
-    if bare and some:
+    if bare and some and not figures.get("held_by_positions"):
         named = ", ".join(
             say("flown.strip", strip=row["strip"], first=row["first"], n=row["images"]) for row in bare
         )

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from photocal.accuracy.maps import round_down
 from photocal.adjustment.mounting import BORESIGHT, LEVER, TIME, Mounting, Positions, body_to_camera
 from photocal.base.arrays import Floats
 from photocal.base.files import output_folder, output_picture, write_rows
@@ -98,13 +99,28 @@ def _draw(made: PositionDifferences, path: Path) -> None:
         plane = np.linalg.norm(made.d_m[:, :2], axis=1)
         width = max(float(np.ptp(x)), float(np.ptp(y)), 1.0)
         # The longest vector of the picture is this share of its width.
-        longest = 0.08
-        times = longest * width / max(float(plane.max()), 1e-9)
+        share = 0.08
+        longest = max(float(plane.max()), 1e-9)
+        times = share * width / longest
         high = max(float(np.abs(made.d_m[:, 2]).max()), 1e-9)
-        drawn = axes.scatter(x, y, c=made.d_m[:, 2], cmap="RdBu_r", vmin=-high, vmax=high, s=18)
-        axes.quiver(x, y, *(made.d_m[:, :2] * times).T, angles="xy", scale_units="xy", scale=1.0, width=0.003)
+        drawn = axes.scatter(
+            x,
+            y,
+            c=made.d_m[:, 2],
+            cmap="RdBu_r",
+            vmin=-high,
+            vmax=high,
+            s=18,
+            edgecolors="0.4",
+            linewidths=0.4,
+        )
+        arrows = axes.quiver(
+            x, y, *made.d_m[:, :2].T, angles="xy", scale_units="xy", scale=1.0 / times, width=0.003
+        )
+        unit = round_down(longest)
+        axes.quiverkey(arrows, 0.88, 1.03, unit, f"{unit:g} m", labelpos="E", coordinates="axes")
         figure.colorbar(drawn, ax=axes, label="height, observed minus adjusted, m")
-        axes.set_title(f"camera positions, observed minus adjusted: plane {times:.0f} times", loc="left")
+        axes.set_title("camera positions, observed minus adjusted", loc="left", fontsize=10)
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_xlabel("m")
         axes.set_ylabel("m")

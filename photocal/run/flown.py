@@ -21,7 +21,7 @@ from photocal.block.network import local_positions
 from photocal.findings.texts import as_record
 from photocal.geometry.frames import LocalFrame
 from photocal.geometry.strips import lines_of_places, order_of_places, strips
-from photocal.georeferencing.findings import control_by_strip
+from photocal.georeferencing.findings import control_by_strip, held_by_positions
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.planning.flown import figures_of, flown_block, ground_through
@@ -112,7 +112,7 @@ def measure_flown(
         checked = check_laser(hit, lasers, near, _share_of_c(run))
         found = laser_finding(checked, int(np.isfinite(lasers).sum()))
         figures |= as_record([found])
-    figures["control_by_strip"] = control
+    figures |= {"control_by_strip": control, "held_by_positions": held_by_positions(model)}
     apart = None
     if run is not None:
         result = read_result(run)

@@ -83,8 +83,35 @@ def test_the_command_maps_them_and_names_strips_without_control(
     assert sum(row["images"] for row in counts) == len(block.images.names)
     bare = [row["strip"] for row in counts if not row["control_points"]]
     assert len(bare) == len(counts) - len(seen[kept])
-    if bare:
-        assert f"strips without control: {bare[0]} (" in said.out
+    # Positions of 3 cm hold strips without control.
+    assert bare
+    assert figures["held_by_positions"]
+    assert "strips without control" not in said.out
+
+
+def test_strips_that_nothing_holds_are_named(photocal: Callable[..., Answer], tmp_path: Path) -> None:
+    """Positions of 3 m, those of a camera's own receiver, hold no strip."""
+    folder = fly(tmp_path / "block", np.random.default_rng(5), Errors(), Plan(position_sigma_m=3.0))
+    lines = (folder / "points.csv").read_text(encoding="utf-8").splitlines()
+    # Control of the southern row is left.
+    moved = [
+        line.replace("control", "check")
+        if line.endswith("control") and float(line.split(",")[2]) > -40
+        else line
+        for line in lines
+    ]
+    (folder / "points.csv").write_text("\n".join(moved) + "\n", encoding="utf-8")
+    said = photocal("flown", folder, "-o", tmp_path / "flown")
+    assert said.code == 0, said.err
+    figures = json.loads((tmp_path / "flown" / "flown.json").read_text(encoding="utf-8"))
+    assert not figures["held_by_positions"]
+    counts = figures["control_by_strip"]
+    bare = [row for row in counts if not row["control_points"]]
+    assert 0 < len(bare) < len(counts)
+    # The fourth strip of the simulation is the northern one.
+    assert any((row["strip"], row["first"]) == (4, "s3_0") for row in bare)
+    named = ", ".join(f"{row['strip']} (from {row['first']}, {row['images']} images)" for row in bare)
+    assert f"strips without control: {named}" in said.out
 
 
 def _strips(block: Block) -> list[int]:
