@@ -70,7 +70,8 @@ def strip_findings(block: Block, result: Georeferenced, target_m: float | None =
     if not bare or len(bare) == len(rows):
         return ()
     figures: dict[str, Figure] = {
-        "strips": tuple(f"{row['strip']} (from {row['first']})" for row in bare),
+        "strips": tuple(str(row["strip"]) for row in bare),
+        "first": tuple(row["first"] for row in bare),
         "images": float(sum(row["images"] for row in bare)),
         "of": float(len(names)),
     }

@@ -75,10 +75,12 @@ def test_strips_that_hang_on_their_neighbours(photocal: Photocal, block: Path) -
     (one,) = finding(photocal, block)
     images = sum(strip in bare for strip in own.values())
     assert f"({images} of {len(own)} images)" in str(one["text"])
-    firsts = {next(name for name, strip in own.items() if strip == wanted) for wanted in bare}
-    assert all(f"from {name}" in str(one["text"]) for name in firsts)
-    # Strips are counted from 1, in the order in which they were flown; its names begin with s0.
-    assert all(f"{int(name[1]) + 1} (from {name})" in str(one["text"]) for name in firsts)
+    firsts = sorted(next(name for name, strip in own.items() if strip == wanted) for wanted in bare)
+    # Strips are counted from 1 in the order of the flight; names begin with s and a number from 0.
+    strips = [str(int(name[1]) + 1) for name in firsts]
+    assert f"Strips {', '.join(strips)} (first images {', '.join(firsts)}) show" in str(one["text"])
+    (told,) = finding(photocal, block, "--lang", "pt-BR")
+    assert f"As faixas {', '.join(strips)} (primeiras imagens {', '.join(firsts)})" in str(told["text"])
 
 
 def without_crossing_strips(block: Path) -> None:
@@ -120,10 +122,11 @@ def test_heights_there_and_elsewhere(photocal: Photocal, tmp_path: Path) -> None
     for row in (block / "observations.csv").read_text().splitlines()[1:]:
         image, point = row.split(",")[:2]
         strips.setdefault(point, set()).add(own[image])
-    outside, inside = [], []
+    outside: list[float] = []
+    inside: list[float] = []
     with (tmp_path / "run" / "points.csv").open(encoding="utf-8") as stream:
-        for point in csv.DictReader(stream):
-            (outside if strips[point["point"]] <= bare else inside).append(float(point["sZ"]))
+        for seen_point in csv.DictReader(stream):
+            (outside if strips[seen_point["point"]] <= bare else inside).append(float(seen_point["sZ"]))
     there, elsewhere = (float(np.sqrt(np.mean(np.square(sigmas)))) for sigmas in (outside, inside))
     figures = one["figures"]
     assert isinstance(figures, dict)
