@@ -1,5 +1,8 @@
 """Strips of a flight, told by the exposures."""
 
+import re
+from collections.abc import Sequence
+
 import numpy as np
 
 from photocal.base.arrays import Floats, Integers
@@ -28,6 +31,22 @@ def strips(seconds: Floats, velocity: Floats) -> tuple[Integers, Floats]:
     np.minimum.at(first, strip, seconds)
     np.maximum.at(last, strip, seconds)
     return strip, np.asarray(seconds - ((first + last) / 2)[strip])
+
+
+def order_of_places(names: Sequence[str], centre: Floats) -> Integers:
+    """Order exposures without times: as listed, or by the numbers in their names, whichever way is shorter.
+
+    centre (n, 3): m.
+    """
+
+    def counted(k: int) -> list[str | int]:
+        """The parts of a name with its numbers as such: IMG_2 stands before IMG_10."""
+        parts = re.split(r"([0-9]+)", names[k])
+        return [int(part) if number % 2 else part for number, part in enumerate(parts)]
+
+    listed = np.arange(len(names))
+    orders = listed, np.array(sorted(listed.tolist(), key=counted), dtype=np.int64)
+    return min(orders, key=lambda order: float(np.linalg.norm(np.diff(centre[order], axis=0), axis=1).sum()))
 
 
 def lines_of_places(centre: Floats) -> Integers:

@@ -5,25 +5,28 @@ Strips that show no control point: only their neighbours hold them, as often wit
 
 import math
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
+from typing import Any
 
 import numpy as np
 from scipy import special
 
-from photocal.base.arrays import Floats, Integers
+from photocal.adjustment.adjusted import AdjustedNetwork
+from photocal.base.arrays import Integers
 from photocal.base.policy import policy
 from photocal.block.model import Block
 from photocal.findings.finding import FACTOR, Figure, Finding, Severity, untested
-from photocal.geometry.strips import lines_of_places
+from photocal.geometry.strips import lines_of_places, order_of_places
 from photocal.georeferencing.causes import Separation, by_navigation_fixes
 from photocal.georeferencing.comparison import BlockCheck, Differences, Judged
-from photocal.georeferencing.methods import Method
-from photocal.hypotheses.findings import cause_findings
+from photocal.georeferencing.methods import Georeferenced, Method
+from photocal.hypotheses.findings import asked_of, cause_findings
 
 
-def control_by_strip(block: Block, names: Sequence[str], strip: Integers) -> list[dict[str, int]]:
+def control_by_strip(block: Block, names: Sequence[str], strip: Integers) -> list[dict[str, Any]]:
     """Count the images of each strip, and the control points that they show.
 
-    names, strip (n,): images and their strips.
+    names, strip (n,): images in the order of the flight and their strips, which people count from 1.
     """
     own = {name: int(number) for name, number in zip(names, strip.tolist(), strict=True)}
     of_image = np.array([own.get(name, -1) for name in block.images.names])
@@ -32,37 +35,71 @@ def control_by_strip(block: Block, names: Sequence[str], strip: Integers) -> lis
     for number in dict.fromkeys(strip.tolist()):
         seen = control & (of_image[block.observations.image] == number)
         points = len(np.unique(block.observations.point[seen]))
-        rows.append({"strip": int(number), "images": int(np.sum(strip == number)), "control_points": points})
+        first = names[int(np.argmax(strip == number))]
+        images = int(np.sum(strip == number))
+        rows.append({"strip": number + 1, "first": first, "images": images, "control_points": points})
     return rows
 
 
-def strip_findings(block: Block, exposures: Floats) -> tuple[Finding, ...]:
+def held_by_positions(block: Block) -> bool:
+    """Whether positions better than navigation fixes hold strips that show no control."""
+    of_images, of_positions = block.images.sigma[:, 3:5], block.positions.stated()[:2]
+    return any(bool((sigma < policy.coarse_m).any()) for sigma in (of_images, of_positions))
+
+
+def strip_findings(block: Block, result: Georeferenced, target_m: float | None = None) -> tuple[Finding, ...]:
     """Name strips without control where nothing else holds them: no positions better than navigation fixes.
 
-    exposures (images, 6): adjusted; NaN where there is none.
+    target_m: root mean square error that is asked of the block; it says from which sigma on that harms.
     """
     # Shorter ones are turns.
     fewest_images = 3
-    stated = block.images.sigma[:, 3:5]
-    held = len(block.positions.image) > 0 or (np.isfinite(stated) & (stated < policy.coarse_m)).any()
-    known = np.flatnonzero(np.isfinite(exposures).all(axis=1))
-    if held or len(block.cameras) > 1 or len(known) < 2 * fewest_images:
+    known = np.flatnonzero(np.isfinite(result.exposures).all(axis=1))
+    if held_by_positions(block) or len(block.cameras) > 1 or len(known) < 2 * fewest_images:
         return ()
     time = block.images.time[known]
-    order = known[np.argsort(time, kind="stable")] if np.isfinite(time).all() else known
-    strip = lines_of_places(exposures[order, 3:])
+    timed = np.isfinite(time).all()
+    listed = [block.images.names[k] for k in known]
+    order = known[
+        np.argsort(time, kind="stable") if timed else order_of_places(listed, result.exposures[known, 3:])
+    ]
+    strip = lines_of_places(result.exposures[order, 3:])
     names = [block.images.names[k] for k in order]
     rows = [row for row in control_by_strip(block, names, strip) if row["images"] >= fewest_images]
     bare = [row for row in rows if not row["control_points"]]
     if not bare or len(bare) == len(rows):
         return ()
-    first = {number: names[int(np.argmax(strip == number))] for number in (row["strip"] for row in bare)}
-    figures = {
-        "strips": tuple(f"{row['strip']} (from {first[row['strip']]})" for row in bare),
+    figures: dict[str, Figure] = {
+        "strips": tuple(str(row["strip"]) for row in bare),
+        "first": tuple(row["first"] for row in bare),
         "images": float(sum(row["images"] for row in bare)),
         "of": float(len(names)),
     }
-    return (Finding("strips-without-control", "note", figures=figures),)
+    severity: Severity = "note"
+    clauses: tuple[str, ...] = ()
+    if result.adjusted is not None:
+        outside = {names[k] for k in np.flatnonzero(np.isin(strip + 1, [row["strip"] for row in bare]))}
+        there, elsewhere = _height_sigmas(result.adjusted, outside)
+        if math.isfinite(there) and math.isfinite(elsewhere):
+            figures |= {"there_m": there, "elsewhere_m": elsewhere}
+            clauses = ("bare-heights",)
+            limit = asked_of(result.adjusted, target_m).ground_m
+            severity = "doubtful" if there > max(limit, policy.worth_a_word * elsewhere) else "note"
+    return (Finding("strips-without-control", severity, figures=figures, clauses=clauses),)
+
+
+def _height_sigmas(adjusted: AdjustedNetwork, images: AbstractSet[str]) -> tuple[float, float]:
+    """Root mean square sigma of the heights of points that these images alone show, and of the others, m."""
+    rays = adjusted.network.rays
+    own = np.array([name in images for name in adjusted.network.image_names])
+    count = len(adjusted.network.point_names)
+    seen, within = np.bincount(rays.point, minlength=count), np.bincount(rays.point, own[rays.image], count)
+    variance = adjusted.solution.point_covariance[:, 2, 2]
+    alone, others = (seen > 0) & (within == seen), within < seen
+    there, elsewhere = (
+        math.sqrt(variance[rows].mean()) if rows.any() else math.nan for rows in (alone, others)
+    )
+    return there, elsewhere
 
 
 # Without ground points all points of a flight share the errors of its rig and of few images: at worst they
@@ -90,7 +127,7 @@ def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
         listed.append(Finding("no-check-points", "note"))
     adjusted = next((one.result for one in check.judged if one.result.method != "direct"), None)
     if adjusted is not None:
-        listed += strip_findings(check.block, adjusted.exposures)
+        listed += strip_findings(check.block, adjusted, _target(check))
     return (*listed, *_refused(check))
 
 

@@ -98,9 +98,9 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
     for number, name in enumerate(sources.navigation):
         if name != NAV_OF_BASE:
             ready = navigation_ready(Path(name), folder / f"navigation-{number}")
-            if not count_ephemerides(ready):
+            if not any(map(count_ephemerides, ready)):
                 raise IllPosedError("has no ephemerides", "give a RINEX navigation file", where=name)
-            navigation.append(ready)
+            navigation.extend(ready)
     given = sources.base_position
     sigma, frame = None, None
     if given is None or "," in given:

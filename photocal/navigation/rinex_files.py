@@ -226,37 +226,90 @@ def observations_ready(
     """
     with reading(path):
         given = path.read_bytes()
-    data = unpacked(given, path)
+    members = _members(given, path)
+    observed = members if len(members) == 1 else {k: v for k, v in members.items() if _kind(v) == "O"}
+    if len(observed) != 1:
+        raise InputMalformedError(
+            f"has {len(members)} files ({', '.join(list(members)[:5])})",
+            "unpack it and name the one with the observations",
+            where=path,
+        )
+    ((name, data),) = observed.items()
+    rest = [other for other in members if other != name and _is_navigation(members[other])]
+    navigation = tuple(
+        _written(_navigation_3(members[one]), stem.with_name(f"{stem.name}-{k}.nav"))
+        for k, one in enumerate(rest)
+    )
     if b"RINEX VERSION" not in data[:200]:
         return _converted(data, path, engine, stem, today, other)
     kept, lost = _without_1980(data)
     if kept is given:
         return ReadyFile(path)
-    made = stem.with_suffix(".obs")
-    made.write_bytes(kept)
     remark = f"{path.name}: {lost} first epochs of 1980, when the receiver did not know the time, left out"
-    return ReadyFile(made, (), (remark,) if lost else ())
+    return ReadyFile(_written(kept, stem.with_suffix(".obs")), navigation, (remark,) if lost else ())
 
 
-def navigation_ready(path: Path, stem: Path) -> Path:
-    """Make a navigation file ready for the engine: plain RINEX 2 and 3 stay as they are.
+def navigation_ready(path: Path, stem: Path) -> tuple[Path, ...]:
+    """Make navigation files ready for the engine: plain RINEX 2 and 3 stay as they are.
 
+    returns: one, or those of an archive, in which observations may stand, too.
     raises InputMalformedError, InputNotFoundError: for what cannot be read.
     """
     with reading(path):
         given = path.read_bytes()
-    data = unpacked(given, path)
-    if data[:20].strip().startswith(b"4") and b"RINEX VERSION" in data[:80]:
-        data = "".join(line + "\n" for line in _as_3(data.decode("latin-1").splitlines())).encode("latin-1")
+    members = _members(given, path)
+    found = [data for data in members.values() if len(members) == 1 or _is_navigation(data)]
+    if not found:
+        raise IllPosedError("has no ephemerides", "give a RINEX navigation file", where=path)
+    data = _navigation_3(found[0])
     if data is given:
-        return path
-    made = stem.with_suffix(".nav")
-    made.write_bytes(data)
-    return made
+        return (path,)
+    return tuple(
+        _written(_navigation_3(one), stem.with_name(f"{stem.name}-{k}.nav")) for k, one in enumerate(found)
+    )
+
+
+def _written(data: bytes, path: Path) -> Path:
+    path.write_bytes(data)
+    return path
+
+
+def _kind(data: bytes) -> str:
+    """Kind of a RINEX file by its head: O for observations; empty for what is none."""
+    return chr(data[20]) if b"RINEX VERSION" in data[:80] else ""
+
+
+def _is_navigation(data: bytes) -> bool:
+    # Version 2 has files of their own for GLONASS and for what is geostationary.
+    return _kind(data) in ("N", "G", "H")
+
+
+def _navigation_3(data: bytes) -> bytes:
+    """Ephemerides of RINEX 4 as RINEX 3 has them; others as they are."""
+    if not (data[:20].strip().startswith(b"4") and b"RINEX VERSION" in data[:80]):
+        return data
+    return "".join(line + "\n" for line in _as_3(data.decode("latin-1").splitlines())).encode("latin-1")
+
+
+def _members(data: bytes, path: Path) -> dict[str, bytes]:
+    """Files of an archive by their names, each unpacked; of another file itself.
+
+    errors as of `unpacked`.
+    """
+    if data[:4] != b"PK\x03\x04":
+        return {path.name: unpacked(data, path)}
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            packed = {name: archive.read(name) for name in archive.namelist() if not name.endswith("/")}
+    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as refusal:
+        raise InputMalformedError(
+            f"cannot be unpacked ({refusal})", "fetch the file again", where=path
+        ) from refusal
+    return {name: unpacked(content, path) for name, content in packed.items()}
 
 
 def unpacked(data: bytes, path: Path) -> bytes:
-    """Undo gz, zip and Z, and Hatanaka's compression; other bytes are given back as they are.
+    """Undo gz and Z, and Hatanaka's compression; other bytes are given back as they are.
 
     raises InputMalformedError: for damaged files.
     raises ConfigurationError: where the package that reads them is not installed.
@@ -264,27 +317,13 @@ def unpacked(data: bytes, path: Path) -> bytes:
     try:
         if data[:2] == b"\x1f\x8b":
             data = gzip.decompress(data)
-        elif data[:4] == b"PK\x03\x04":
-            data = _only_member(data, path)
         if data[:2] != b"\x1f\x9d" and b"CRINEX VERS" not in data[:100]:
             return data
         return _by_hatanaka(data, path)
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as refusal:
+    except (OSError, EOFError, ValueError) as refusal:
         raise InputMalformedError(
             f"cannot be unpacked ({refusal})", "fetch the file again", where=path
         ) from refusal
-
-
-def _only_member(data: bytes, path: Path) -> bytes:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        names = [name for name in archive.namelist() if not name.endswith("/")]
-        if len(names) != 1:
-            raise InputMalformedError(
-                f"has {len(names)} files ({', '.join(names[:5])})",
-                "unpack it and name the one with the observations",
-                where=path,
-            )
-        return archive.read(names[0])
 
 
 def _by_hatanaka(data: bytes, path: Path) -> bytes:

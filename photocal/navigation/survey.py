@@ -411,7 +411,9 @@ def _precise(point: PrecisePoint, survey: Survey) -> tuple[GroundMark, GpsTime, 
 
 def _navigation(session: MarkSession, survey: Survey, folder: Path) -> list[Path]:
     return [
-        navigation_ready(survey.folder / p, folder / f"navigation-{k}") for k, p in enumerate(session.nav)
+        ready
+        for k, path in enumerate(session.nav)
+        for ready in navigation_ready(survey.folder / path, folder / f"navigation-{k}")
     ]
 
 

@@ -42,8 +42,10 @@ def flown_text(figures: Mapping[str, Any], say: Catalogue) -> str:
     bare = [row for row in figures.get("control_by_strip", ()) if not row["control_points"]]
     some = any(row["control_points"] for row in figures.get("control_by_strip", ()))
     lines = []
-    if bare and some:
-        named = ", ".join(say("flown.strip", strip=row["strip"], n=row["images"]) for row in bare)
+    if bare and some and not figures.get("held_by_positions"):
+        named = ", ".join(
+            say("flown.strip", strip=row["strip"], first=row["first"], n=row["images"]) for row in bare
+        )
         lines.append(say("flown.bare", strips=named))
     positions = figures.get("positions")
     if positions is not None:
@@ -105,7 +107,7 @@ def write_flown(
     tilt_deg = np.degrees(block.tilt_rad)
     columns = (block.height_m, block.gsd_m, tilt_deg, block.forward, block.smear_px, speed_m_s)
     numbers = np.column_stack(columns).tolist()
-    named = zip(block.names, block.strip.tolist(), numbers, strict=True)
+    named = zip(block.names, (block.strip + 1).tolist(), numbers, strict=True)
     rows = [(name, strip, *values) for name, strip, values in named]
     with output_folder(folder) as aside:
         write_json(aside / "flown.json", figures)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from photocal.accuracy.maps import round_down
 from photocal.adjustment.mounting import BORESIGHT, LEVER, TIME, Mounting, Positions, body_to_camera
 from photocal.base.arrays import Floats
 from photocal.base.files import output_folder, output_picture, write_rows
@@ -55,13 +56,15 @@ def position_differences(
     """Reduce observed antenna positions to the camera and compare them with the adjusted centres.
 
     rotation, station: adjusted, of all images, in the local frame; positions: in the same frame.
-    adjusted: lever arm, boresight (rad) and time offset by name where the adjustment estimated them.
+    adjusted: lever arm, boresight (deg) and time offset by name, as results have them.
     """
     if not len(positions.image):
         return None
     values = mounting.values.copy()
-    for part, key in ((LEVER, "lever_arm"), (BORESIGHT, "boresight")):
-        values[part] = [adjusted.get(f"{key}_{axis}", v) for axis, v in zip("xyz", values[part], strict=True)]
+    for part, key, unit in ((LEVER, "lever_arm", 1.0), (BORESIGHT, "boresight", np.radians(1.0))):
+        found = (adjusted.get(f"{key}_{axis}") for axis in "xyz")
+        both = zip(found, values[part], strict=True)
+        values[part] = [given if one is None else unit * one for one, given in both]
     values[TIME] = adjusted.get("time_offset", values[TIME])
     at = positions.image
     arm = np.swapaxes(rotation[at], 1, 2) @ (body_to_camera(mounting, values) @ values[LEVER])
@@ -96,13 +99,28 @@ def _draw(made: PositionDifferences, path: Path) -> None:
         plane = np.linalg.norm(made.d_m[:, :2], axis=1)
         width = max(float(np.ptp(x)), float(np.ptp(y)), 1.0)
         # The longest vector of the picture is this share of its width.
-        longest = 0.08
-        times = longest * width / max(float(plane.max()), 1e-9)
+        share = 0.08
+        longest = max(float(plane.max()), 1e-9)
+        times = share * width / longest
         high = max(float(np.abs(made.d_m[:, 2]).max()), 1e-9)
-        drawn = axes.scatter(x, y, c=made.d_m[:, 2], cmap="RdBu_r", vmin=-high, vmax=high, s=18)
-        axes.quiver(x, y, *(made.d_m[:, :2] * times).T, angles="xy", scale_units="xy", scale=1.0, width=0.003)
+        drawn = axes.scatter(
+            x,
+            y,
+            c=made.d_m[:, 2],
+            cmap="RdBu_r",
+            vmin=-high,
+            vmax=high,
+            s=18,
+            edgecolors="0.4",
+            linewidths=0.4,
+        )
+        arrows = axes.quiver(
+            x, y, *made.d_m[:, :2].T, angles="xy", scale_units="xy", scale=1.0 / times, width=0.003
+        )
+        unit = round_down(longest)
+        axes.quiverkey(arrows, 0.88, 1.03, unit, f"{unit:g} m", labelpos="E", coordinates="axes")
         figure.colorbar(drawn, ax=axes, label="height, observed minus adjusted, m")
-        axes.set_title(f"camera positions, observed minus adjusted: plane {times:.0f} times", loc="left")
+        axes.set_title("camera positions, observed minus adjusted", loc="left", fontsize=10)
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_xlabel("m")
         axes.set_ylabel("m")

@@ -20,8 +20,8 @@ from photocal.block.motion import velocity_of_neighbours
 from photocal.block.network import local_positions
 from photocal.findings.texts import as_record
 from photocal.geometry.frames import LocalFrame
-from photocal.geometry.strips import lines_of_places, strips
-from photocal.georeferencing.findings import control_by_strip
+from photocal.geometry.strips import lines_of_places, order_of_places, strips
+from photocal.georeferencing.findings import control_by_strip, held_by_positions
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.planning.flown import figures_of, flown_block, ground_through
@@ -76,7 +76,7 @@ def measure_flown(
     model, frame, shots = oriented(block, run)
     time = model.images.time
     timed = bool(np.isfinite(time).all())
-    order = np.argsort(time, kind="stable") if timed else np.arange(len(shots))
+    order = np.argsort(time, kind="stable") if timed else order_of_places(shots.names, shots.station)
     shots, seconds = shots.only(order), time[order] if timed else np.arange(len(shots), dtype=np.float64)
     scaled = model.datum != "free" or len(model.relations.kind) > 0 or len(model.lasers.image) > 0
     axis = float(np.median(shots.rotation[:, 2, 2])) if len(shots) else -1.0
@@ -112,7 +112,7 @@ def measure_flown(
         checked = check_laser(hit, lasers, near, _share_of_c(run))
         found = laser_finding(checked, int(np.isfinite(lasers).sum()))
         figures |= as_record([found])
-    figures["control_by_strip"] = control
+    figures |= {"control_by_strip": control, "held_by_positions": held_by_positions(model)}
     apart = None
     if run is not None:
         result = read_result(run)

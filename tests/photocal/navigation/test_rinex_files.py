@@ -41,7 +41,7 @@ TODAY = day("2026-11-24T00:00:00")
 def test_plain_rinex_stays_where_it_is(shared: Path, tmp_path: Path) -> None:
     data = shared / "data/gnss-rinex-static-known"
     assert observations_ready(data / "base.obs", Rtklib(), tmp_path / "a", TODAY).path == data / "base.obs"
-    assert navigation_ready(data / "base.nav", tmp_path / "n") == data / "base.nav"
+    assert navigation_ready(data / "base.nav", tmp_path / "n") == (data / "base.nav",)
 
 
 @pytest.mark.shared
@@ -56,6 +56,35 @@ def test_packed_rinex_is_unpacked(shared: Path, tmp_path: Path) -> None:
     (tmp_path / "cut.gz").write_bytes(gzip.compress(plain)[:-20])
     with pytest.raises(InputMalformedError, match="cannot be unpacked"):
         observations_ready(tmp_path / "cut.gz", Rtklib(), tmp_path / "made", TODAY)
+
+
+@pytest.mark.shared
+def test_an_archive_of_a_station_has_observations_and_ephemerides(shared: Path, tmp_path: Path) -> None:
+    """As archives of reference stations hand out a day: one file of observations, ephemerides by system."""
+    data = shared / "data/gnss-rinex-static-known"
+    observed, orbits = (data / "base.obs").read_bytes(), (data / "base.nav").read_bytes()
+    path = tmp_path / "ppte1761.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("ppte1761.24g", orbits)
+        archive.writestr("ppte1761.24n", orbits)
+        archive.writestr("ppte1761.24o", observed)
+        archive.writestr("leia-me.txt", "RBMC")
+    ready = observations_ready(path, Rtklib(), tmp_path / "made", TODAY)
+    assert ready.path.read_bytes() == observed
+    assert [one.read_bytes() for one in ready.navigation] == [orbits, orbits]
+    assert len({ready.path, *ready.navigation}) == 3
+    assert [one.read_bytes() for one in navigation_ready(path, tmp_path / "n")] == [orbits, orbits]
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("ppte1761a.24o", observed)
+    with pytest.raises(InputMalformedError, match="has 5 files"):
+        observations_ready(path, Rtklib(), tmp_path / "made", TODAY)
+    alone = tmp_path / "alone.zip"
+    with zipfile.ZipFile(alone, "w") as archive:
+        archive.writestr("a.24o", observed)
+        archive.writestr("b.txt", "RBMC")
+    assert observations_ready(alone, Rtklib(), tmp_path / "made", TODAY).navigation == ()
+    with pytest.raises(IllPosedError, match="no ephemerides"):
+        navigation_ready(alone, tmp_path / "n")
 
 
 @pytest.mark.shared
@@ -128,7 +157,7 @@ def test_rinex_4_ephemerides_are_those_of_rinex_3(shared: Path, tmp_path: Path) 
     lines = source.read_text().splitlines()
     path = tmp_path / "base_4.nav"
     path.write_text(as_rinex_4(lines))
-    ready = navigation_ready(path, tmp_path / "made")
+    (ready,) = navigation_ready(path, tmp_path / "made")
     assert count_ephemerides(ready) == count_ephemerides(source) > 10
     end = next(k for k, line in enumerate(lines) if "END OF HEADER" in line)
     made = ready.read_text().splitlines()

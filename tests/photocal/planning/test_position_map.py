@@ -83,11 +83,78 @@ def test_the_command_maps_them_and_names_strips_without_control(
     assert sum(row["images"] for row in counts) == len(block.images.names)
     bare = [row["strip"] for row in counts if not row["control_points"]]
     assert len(bare) == len(counts) - len(seen[kept])
-    if bare:
-        assert f"strips without control: {bare[0]} (" in said.out
+    # Positions of 3 cm hold strips without control.
+    assert bare
+    assert figures["held_by_positions"]
+    assert "strips without control" not in said.out
+
+
+def test_strips_that_nothing_holds_are_named(photocal: Callable[..., Answer], tmp_path: Path) -> None:
+    """Positions of 3 m, those of a camera's own receiver, hold no strip."""
+    folder = fly(tmp_path / "block", np.random.default_rng(5), Errors(), Plan(position_sigma_m=3.0))
+    lines = (folder / "points.csv").read_text(encoding="utf-8").splitlines()
+    # Control of the southern row is left.
+    moved = [
+        line.replace("control", "check")
+        if line.endswith("control") and float(line.split(",")[2]) > -40
+        else line
+        for line in lines
+    ]
+    (folder / "points.csv").write_text("\n".join(moved) + "\n", encoding="utf-8")
+    said = photocal("flown", folder, "-o", tmp_path / "flown")
+    assert said.code == 0, said.err
+    figures = json.loads((tmp_path / "flown" / "flown.json").read_text(encoding="utf-8"))
+    assert not figures["held_by_positions"]
+    counts = figures["control_by_strip"]
+    bare = [row for row in counts if not row["control_points"]]
+    assert 0 < len(bare) < len(counts)
+    # The fourth strip of the simulation is the northern one.
+    assert any((row["strip"], row["first"]) == (4, "s3_0") for row in bare)
+    named = ", ".join(f"{row['strip']} (from {row['first']}, {row['images']} images)" for row in bare)
+    assert f"strips without control: {named}" in said.out
 
 
 def _strips(block: Block) -> list[int]:
     pairs = zip(block.positions.image.tolist(), block.positions.strip.tolist(), strict=True)
     of_image = dict(pairs)
     return [of_image[k] for k in range(len(block.images.names))]
+
+
+def test_a_camera_that_is_turned_against_the_body(photocal: Callable[..., Answer], tmp_path: Path) -> None:
+    """Differences by the true rig and the adjusted orientations, with rotations of scipy."""
+    lever, turn = np.array([0.30, 0.05, -0.25]), (2.0, -1.5, 3.0)
+    stated = (
+        f"lever_arm_m = {lever.tolist()}\nboresight_deg = {list(turn)}\n"
+        "boresight_sigma_deg = [1.0, 1.0, 1.0]\n"
+    )
+    errors = Errors(lever_arm_m=tuple(lever.tolist()), boresight_deg=turn)
+    folder = fly(tmp_path / "block", np.random.default_rng(3), errors, Plan(mounting=stated))
+    adjust_block(folder, tmp_path / "run")
+    said = photocal("flown", folder, "--run", tmp_path / "run", "-o", tmp_path / "flown")
+    assert said.code == 0, said.err
+    found, observed, adjusted = (
+        _by_image(path)
+        for path in (
+            tmp_path / "flown" / "positions.csv",
+            folder / "positions.csv",
+            tmp_path / "run" / "images.csv",
+        )
+    )
+    # Body axes forward, right, down; photo axes right, forward, up of a camera that looks down.
+    nadir = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    arm = Rotation.from_rotvec(np.radians(turn)).as_matrix() @ nadir @ lever
+    assert len(found) == len(observed) == len(adjusted)
+    for image, row in found.items():
+        angles = [float(adjusted[image][name]) for name in ("omega", "phi", "kappa")]
+        to_object = Rotation.from_euler("XYZ", angles, degrees=True)
+        place, antenna = (
+            np.array([float(one[axis]) for axis in "XYZ"]) for one in (adjusted[image], observed[image])
+        )
+        difference = [float(row[f"d{axis}_m"]) for axis in "XYZ"]
+        # The adjusted boresight is known to some thousandths of a degree.
+        assert difference == pytest.approx(antenna - to_object.apply(arm) - place, abs=5e-4)
+
+
+def _by_image(path: Path) -> dict[str, dict[str, str]]:
+    with path.open(encoding="utf-8") as stream:
+        return {row["image"]: row for row in csv.DictReader(stream)}
