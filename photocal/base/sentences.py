@@ -92,7 +92,7 @@ class Texts:
 
     def _known(self, text: str, section: str, own: Mapping[str, str] | None = None) -> str:
         for english, said in (*(own or {}).items(), *_twins(self, section)):
-            if found := _pattern(english).fullmatch(text):
+            if found := _pattern(english, said).fullmatch(text):
                 return said.format(
                     **{name: self._part(name, part, section) for name, part in found.groupdict().items()}
                 )
@@ -157,9 +157,15 @@ def _twins(texts: Texts, section: str) -> tuple[tuple[str, str], ...]:
 
 
 @cache
-def _pattern(english: str) -> re.Pattern[str]:
-    """A text with places for values, as it may read."""
-    return re.compile(re.sub(r"\\{(\w+)\\}", r"(?P<\1>.+?)", re.escape(english)))
+def _pattern(english: str, said: str) -> re.Pattern[str]:
+    """A text with places for values, as it may read; what the other language counts is a number."""
+    counted = set(re.findall(r"\{(\w+):", said))
+
+    def place(found: re.Match[str]) -> str:
+        """Say what may stand in a place."""
+        return f"(?P<{found[1]}>{'0|[1-9][0-9]*' if found[1] in counted else '.+?'})"
+
+    return re.compile(re.sub(r"\\{(\w+)\\}", place, re.escape(english)))
 
 
 def _flat(tree: Mapping[str, object], prefix: str) -> list[tuple[str, str]]:
