@@ -93,9 +93,10 @@ class Texts:
     def _known(self, text: str, section: str, own: Mapping[str, str] | None = None) -> str:
         for english, said in (*(own or {}).items(), *_twins(self, section)):
             if found := _pattern(english, said).fullmatch(text):
-                return said.format(
-                    **{name: self._part(name, part, section) for name, part in found.groupdict().items()}
-                )
+                parts = {name: self._part(name, part, section) for name, part in found.groupdict().items()}
+                # Places alone fit many a text: where nothing of it is known, another sentence may be.
+                if (whole := said.format(**parts)) != text:
+                    return whole
         return text
 
     def _part(self, name: str, text: str, section: str) -> object:
