@@ -197,6 +197,7 @@ def replay(
     to: Annotated[str, option("udp://HOST:PORT, tcp://HOST:PORT (waits for a reader) or pty.")],
     link: Link = None,
     speed: Annotated[float, option("Speed factor; 0: as fast as the receiver accepts.", min=0)] = 1.0,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Send the raw frames of a link, byte for byte and in their order.
@@ -208,9 +209,10 @@ def replay(
     from acquire.log import replay as replaying
     from acquire.transports.sinks import open_sink
 
+    say = texts(spoken(language))
     name = replaying.choose_link(log, link)
     with open_sink(to) as (sink, address):
-        typer.echo(f"replaying {name} to {address}", err=True)
+        typer.echo(say("replay.begins", link=name, address=address), err=True)
         sent = replaying.replay(log, name, sink, speed, time.monotonic, time.sleep)
     answer(
         as_json,
@@ -222,9 +224,12 @@ def replay(
             "recorded_s": sent.recorded_s,
             "lost": sent.lost,
         },
-        lambda: (
-            f"sent {sent.frames} frames, {sent.size} bytes, recorded in {sent.recorded_s:.1f} s; "
-            + ("losses on the network are not known" if sent.lost is None else f"{sent.lost} lost")
+        lambda: say(
+            "replay.sent",
+            frames=sent.frames,
+            size=sent.size,
+            duration=say.row([sent.recorded_s], ".1f"),
+            lost=say("replay.unknown") if sent.lost is None else say("replay.lost", count=sent.lost),
         ),
     )
 
@@ -279,6 +284,7 @@ def export(
     log: Log,
     output: Annotated[Path, option("Telemetry log to write (.tlog).", "-o", "--output")],
     link: Link = None,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Write the vehicle's link as a telemetry log that ground stations and pymavlink read.
@@ -287,10 +293,11 @@ def export(
     """
     from acquire.log.replay import choose_link, export_tlog
 
+    say = texts(spoken(language))
     name = choose_link(log, link)
     count = export_tlog(log, name, output)
     answer(
         as_json,
         lambda: {"schema": "acquire.export/1", "link": name, "frames": count, "output": str(output)},
-        lambda: f"{name}: {count} frames, wrote {output}",
+        lambda: say("export.wrote", link=name, frames=count, path=output),
     )
