@@ -22,7 +22,14 @@ def main() -> None:
     """Run the command line."""
     # Nothing here multiplies large matrices: threads for that would cost every command a start.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    run(app)
+    run(app, refused)
+
+
+def refused(line: str) -> str:
+    """Say a refusal in the language that was asked for, see `acquire.commands.texts.refused`."""
+    from acquire.commands import texts
+
+    return texts.refused(line)
 
 
 if __name__ == "__main__":

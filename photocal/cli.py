@@ -1,7 +1,6 @@
 """The command `photocal`: a list of its commands; the module of each is imported when it is asked for."""
 
 import sys
-from itertools import pairwise
 
 from photocal.base.console import application
 from photocal.base.console import run as run_application
@@ -56,9 +55,7 @@ def refused(line: str) -> str:
 
     Programs, which ask for JSON, are told in English.
     """
-    from photocal.findings.texts import LANGUAGES, catalogue, spoken
+    from photocal.base.sentences import spoken_to
+    from photocal.findings.texts import catalogue
 
-    words = " ".join(sys.argv[1:]).replace("=", " ").split()
-    asked = [after for word, after in pairwise(words) if word in ("--lang", "--language")]
-    language = asked[-1] if asked else "en" if "--json" in words else spoken()
-    return catalogue(language if language in LANGUAGES else "en").refused(line)
+    return catalogue(spoken_to(sys.argv[1:])).refused(line)

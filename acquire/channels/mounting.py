@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from photocal.base.sentences import Texts
+
 # Where the camera sits on the body no parameter tells: taken at its origin, give or take, per axis.
 CAMERA_PLACE_SIGMA_M = 0.1
 # How well a camera is screwed to the axes of the body, and a mount holds the angle it is told.
@@ -94,26 +96,22 @@ def mounting_of(parameters: Mapping[str, float]) -> AutopilotMounting:
     )
 
 
-def mounting_lines(told: dict[str, Any]) -> list[str]:
+def mounting_lines(told: dict[str, Any], say: Texts) -> list[str]:
     """Say in words what `AutopilotMounting.as_json` tells."""
+    # Between numbers with a decimal comma stands a semicolon; `[rig]` is written as a project has it.
+    joint = ", " if say.mark == "." else "; "
     lines, rig = [], told["rig"]
     for value in told["values"]:
         parameters = {name: number for name, number in value.items() if name not in ("thing", "unit")}
-        numbers = ", ".join(f"{number:.6g}" for number in parameters.values())
-        lines.append(
-            f"  {value['thing']}: {numbers} {value['unit']}".rstrip() + f" ({', '.join(parameters)})"
-        )
+        numbers = say.row(parameters.values(), ".6g", joint)
+        thing = say.stored(value["thing"])
+        lines.append(f"{thing}: {numbers} {value['unit']}".rstrip() + f" ({', '.join(parameters)})")
     if "camera_to_antenna_m" in rig:
         arm = ", ".join(f"{number:.6g}" for number in rig["camera_to_antenna_m"])
-        lines.append(
-            f"  for [rig]: camera_to_antenna_m = [{arm}], sigma {CAMERA_PLACE_SIGMA_M:g} m: "
-            "if the camera sits at the body's origin; measure where it sits"
-        )
+        lines.append(say("mounting.arm", arm=arm, sigma=say.row([CAMERA_PLACE_SIGMA_M], "g")))
     elif any(value["thing"] == ANTENNA for value in told["values"]):
-        lines.append("  for [rig]: no lever arm; an antenna at 0, 0, 0 was not measured")
+        lines.append(say("mounting.no_arm"))
     if "mount_deg" in rig:
-        angles = ", ".join(f"{number:.6g}" for number in rig["mount_deg"])
-        lines.append(
-            f"  for [rig]: camera turned by roll, pitch, yaw {angles}, sigma {MOUNT_SIGMA_DEG:g} deg"
-        )
-    return lines
+        angles = say.row(rig["mount_deg"], ".6g", joint)
+        lines.append(say("mounting.turned", angles=angles, sigma=say.row([MOUNT_SIGMA_DEG], "g")))
+    return [f"  {line}" for line in lines]

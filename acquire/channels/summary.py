@@ -20,6 +20,7 @@ from drivers.mavlink.decode import decode, sequences, sources
 from drivers.mavlink.dialect import Dialect
 from drivers.protocols import known_wire
 from photocal.base.arrays import Bytes, Floats, Integers
+from photocal.base.sentences import Texts
 
 # Raw observations, and the orbits that a trajectory needs as well, by protocol.
 # RTCM: 1004, 1012, and MSM 4 to 7 of GPS, GLONASS, Galileo, QZSS and BeiDou.
@@ -27,7 +28,7 @@ _MSM = tuple(str(system + kind) for system in (1070, 1080, 1090, 1110, 1120) for
 _OBSERVATIONS = frozenset(("RXM-RAWX", "1004", "1012", *_MSM))
 _ORBITS = ("RXM-SFRBX", "1019", "1020", "1042", "1045", "1046")
 # How an exposure is seen, in the order in which a person thinks of it.
-_SEEN = {"trigger": "triggered", "feedback": "reported by the autopilot", "mark": "time marks"}
+_SEEN = ("trigger", "feedback", "mark")
 _LACKS = {
     "trigger": "were triggered",
     "feedback": "were reported by the autopilot",
@@ -70,17 +71,19 @@ def _possible(missing: list[str]) -> dict[str, Any]:
     return {"possible": not missing, "missing": missing}
 
 
-def verdict_lines(said: dict[str, Any]) -> list[str]:
+def verdict_lines(said: dict[str, Any], say: Texts) -> list[str]:
     """Write a verdict as the paragraph that comes first."""
-    counts = ", ".join(
-        f"{said['exposures'][key]} {word}" for key, word in _SEEN.items() if key in said["exposures"]
-    )
-    head = f"pictures: {counts or 'none triggered, reported or marked'}"
-    yes = "complete" if said["complete"] else "CHECK"
-    processed = f"PPK {_answer(said['ppk'])}; exposures {_answer(said['exposures_possible'])}"
-    steady = (f"  {name}: raw observations{_rate_words(now)}" for name, now in said["receivers"].items())
-    remarks = (f"  {remark}" for remark in said["remarks"])
-    return [f"verdict: {yes}", f"  {head}", *steady, *remarks, f"  can be processed: {processed}"]
+    seen = said["exposures"]
+    counts = ", ".join(say(f"info.seen_{key}", count=seen[key]) for key in _SEEN if key in seen)
+    ppk, exposures = (_answer(said[key], say) for key in ("ppk", "exposures_possible"))
+    told = [
+        say("info.pictures", counts=counts or say("info.no_pictures")),
+        *(say("info.steady", name=name, **_rate_words(now, say)) for name, now in said["receivers"].items()),
+        *map(say.stored, said["remarks"]),
+        say("info.processed", ppk=ppk, exposures=exposures),
+    ]
+    state = say("info.complete" if said["complete"] else "info.check")
+    return [say("info.verdict", state=state), *map("  ".__add__, told)]
 
 
 def _steady(kinds: list[dict[str, Any]]) -> dict[str, float | None]:
@@ -89,14 +92,15 @@ def _steady(kinds: list[dict[str, Any]]) -> dict[str, float | None]:
     return {"rate_hz": steadiest["rate_hz"], "longest_gap_s": steadiest["longest_gap_s"]}
 
 
-def _rate_words(steady: dict[str, float | None]) -> str:
+def _rate_words(steady: dict[str, float | None], say: Texts) -> dict[str, str]:
     rate, longest = steady["rate_hz"], steady["longest_gap_s"] or 0.0
-    at = "" if rate is None else f" at {rate:.3g} Hz"
-    return at + (f" with gaps, the longest {longest:.1f} s" if longest > GAP_S else " without gaps")
+    gaps = say("info.gaps", longest=say.row([longest], ".1f")) if longest > GAP_S else say("info.no_gaps")
+    return {"rate": "" if rate is None else say("info.rate", rate=say.row([rate], ".3g")), "gaps": gaps}
 
 
-def _answer(possible: dict[str, Any]) -> str:
-    return "yes" if possible["possible"] else f"no ({', '.join(possible['missing'])})"
+def _answer(possible: dict[str, Any], say: Texts) -> str:
+    missing = ", ".join(map(say.stored, possible["missing"]))
+    return say("info.yes") if possible["possible"] else say("info.no", missing=missing)
 
 
 def _raw(link: dict[str, Any]) -> list[dict[str, Any]]:

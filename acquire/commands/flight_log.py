@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from acquire.channels.mounting import mounting_lines
-from photocal.base.console import AsJson, answer, argument, option, progress
+from acquire.commands.texts import texts
+from photocal.base.console import AsJson, Language, answer, argument, option, progress
 from photocal.base.errors import ConfigurationError
+from photocal.base.sentences import Texts, spoken
 
 if TYPE_CHECKING:
     from acquire.importing.importer import Imported
@@ -31,6 +33,7 @@ def import_(
     date: Annotated[
         str | None, option("UTC date of the beginning of streams without a date.", metavar="YYYY-MM-DD")
     ] = None,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Import recordings into one flight log, raw first.
@@ -39,6 +42,7 @@ def import_(
     """
     from acquire.importing.importer import import_recordings
 
+    say = texts(spoken(language))
     named = [_named(text) for text in link or []]
     unnamed = files or []
     near_ns = _noon_ns(date)
@@ -49,7 +53,7 @@ def import_(
         results = import_recordings(named, unnamed, output, advance, near_ns)
     for result in results:
         if result.warning:
-            typer.echo(f"warning: {result.link}: {result.warning}", err=True)
+            typer.echo(say("import.warning", link=result.link, warning=say.stored(result.warning)), err=True)
     answer(
         as_json,
         lambda: {
@@ -57,7 +61,9 @@ def import_(
             "output": str(output),
             "links": [result.as_json() for result in results],
         },
-        lambda: "\n".join([*map(_sentence, results), f"wrote {output}"]),
+        lambda: "\n".join(
+            [*(_sentence(result, say) for result in results), say("record.wrote", path=output)]
+        ),
     )
 
 
@@ -87,19 +93,19 @@ def _named(text: str) -> tuple[str, Path]:
     return name, Path(path)
 
 
-def _sentence(result: "Imported") -> str:
-    tally = result.tally
-    text = f"{result.link}: {tally.frames} frames from {result.path} ({result.form.name})"
+def _sentence(result: "Imported", say: Texts) -> str:
+    tally, form = result.tally, say.stored(result.form.name)
+    parts = [say("import.link", link=result.link, frames=tally.frames, path=result.path, form=form)]
     if tally.damage_bytes:
-        text += f"; {tally.damage_bytes} bytes in {tally.damage_runs} places belong to no valid frame"
+        parts.append(say("import.damage", size=tally.damage_bytes, places=tally.damage_runs))
     if result.packing_cut:
-        text += "; the compressed file ends early, imported up to there"
+        parts.append(say("import.packing_cut"))
     if result.cut:
-        text += f"; the recording ends in a frame ({result.cut} bytes of it): imported up to the one before"
-    return f"{text}; time: {result.log_time}"
+        parts.append(say("import.cut", size=result.cut))
+    return "; ".join([*parts, say("import.time", source=say.stored(result.log_time))])
 
 
-def info(log: Log, types: Types = False, as_json: AsJson = False) -> None:
+def info(log: Log, types: Types = False, language: Language = "", as_json: AsJson = False) -> None:
     """Report whether a flight log is complete and can be processed; show its links, gaps, fixes and clocks.
 
     Example: `acquire info flight.mcap`
@@ -107,64 +113,83 @@ def info(log: Log, types: Types = False, as_json: AsJson = False) -> None:
     from acquire.channels.summary import summarise
     from drivers.mavlink.dialect import ardupilotmega
 
+    say = texts(spoken(language))
     figures = summarise(log, ardupilotmega())
-    answer(as_json, lambda: figures, lambda: _text(figures, types=types))
+    answer(as_json, lambda: figures, lambda: _text(figures, say, types=types))
 
 
-def _text(figures: dict[str, Any], *, types: bool) -> str:
+def _text(figures: dict[str, Any], say: Texts, *, types: bool) -> str:
     from acquire.channels.summary import verdict_lines
 
-    lines = [*verdict_lines(figures["verdict"]), "", f"{figures['file']}: {figures['bytes']} bytes"]
+    file = say("info.file", file=figures["file"], size=figures["bytes"])
+    lines = [*verdict_lines(figures["verdict"], say), "", file]
     if not figures["complete"]:
-        lines.append("  ends early: only its intact part is shown; acquire recover repairs it")
+        lines.append(f"  {say('info.ends_early')}")
         if every := figures["metadata"].get("recording", {}).get("flush_s"):
-            lines.append(f"  flushed to disk every {every} s: a power cut loses that and the time of a flush")
+            lines.append(f"  {say('info.flushed', every=every.replace('.', say.mark))}")
     for link in figures["links"]:
-        lines += ["", *_link(link, types=types)]
+        lines += ["", *_link(link, say, types=types)]
         notes = figures["metadata"].get(f"import {link['link']}")
         if notes:
-            lines.append(f"  source {notes['file']}, SHA-256 {notes['sha256']}")
-            lines.append(f"  time: {notes['log_time']}")
+            lines.append(f"  {say('info.source', file=notes['file'], sha256=notes['sha256'])}")
+            lines.append(f"  {say('info.time', source=say.stored(notes['log_time']))}")
     if figures["fixes"]:
-        lines += ["", "fixes"]
+        lines += ["", say("info.fixes")]
         for receiver, counts in figures["fixes"].items():
-            shares = ", ".join(f"{name} {count}" for name, count in counts.items())
-            lines.append(f"  {receiver}: {shares}")
+            shares = (say("info.fix", fix=say.stored(fix), count=count) for fix, count in counts.items())
+            lines.append(f"  {receiver}: {', '.join(shares)}")
     for source, told in figures["mounting"].items():
-        sender = source.split("/")[0]
-        lines += ["", f"mounting, from {told['parameters']} parameters of {sender} (body axes)"]
-        lines += mounting_lines(told)
+        lines += ["", say("info.mounting", count=told["parameters"], sender=source.split("/")[0])]
+        lines += mounting_lines(told, say)
     if not types:
         return "\n".join(lines)
-    lines += ["", "topics"]
+    lines += ["", say("info.topics")]
     for topic in figures["topics"]:
         kind = topic["schema"] or topic["encoding"]
         lines.append(f"  {topic['topic']:<34} {kind:<26} {topic['messages']:>8}")
     return "\n".join(lines)
 
 
-def _link(link: dict[str, Any], *, types: bool) -> list[str]:
+def _link(link: dict[str, Any], say: Texts, *, types: bool) -> list[str]:
     gaps = link["gaps"]
-    lines = [
-        f"{link['link']}: {link['frames']} frames, {link['frame_bytes']} bytes in {link['duration_s']:.1f} s",
-        f"  {link['damage_bytes']} bytes belong to no valid frame",
-        f"  gaps over {gaps['longer_than_s']:g} s: {gaps['count']}, the longest {gaps['longest_s']:.2f} s",
+    told = [
+        say("info.damage", count=link["damage_bytes"]),
+        say(
+            "info.pauses",
+            limit=say.row([gaps["longer_than_s"]], "g"),
+            count=gaps["count"],
+            longest=say.row([gaps["longest_s"]], ".2f"),
+        ),
     ]
-    lines += [
-        f"  source system {s['system']} component {s['component']}: {s['frames']} frames,"
-        f" {s['missing_numbers']} more were sent and did not arrive"
+    told += [
+        say(
+            "info.sender",
+            system=s["system"],
+            component=s["component"],
+            frames=s["frames"],
+            missing=s["missing_numbers"],
+        )
         for s in link["sources"]
     ]
     if link["clock"]:
-        lines.append(f"  clock: {link['clock']['verdict']}")
-    if not types:
-        return lines
-    lines.append(f"  {'type':<34} {'frames':>8} {'rate Hz':>9} {'longest gap s':>14}")
-    for kind in sorted(link["types"], key=lambda t: -t["frames"]):
-        rate = "" if kind["rate_hz"] is None else f"{kind['rate_hz']:.2f}"
-        gap = "" if kind["longest_gap_s"] is None else f"{kind['longest_gap_s']:.2f}"
-        lines.append(f"  {kind['encoding'] + ' ' + kind['type']:<34} {kind['frames']:>8} {rate:>9} {gap:>14}")
-    return lines
+        told.append(say("info.clock", verdict=say.stored(link["clock"]["verdict"])))
+    if types:
+        heads = [say(f"info.{key}") for key in ("type", "frames", "rate_hz", "longest_gap_s")]
+        told.append(_row(*heads))
+    for kind in sorted(link["types"] if types else (), key=lambda t: -t["frames"]):
+        rate, gap = (
+            "" if kind[key] is None else say.row([kind[key]], ".2f") for key in ("rate_hz", "longest_gap_s")
+        )
+        told.append(_row(f"{kind['encoding']} {kind['type']}", str(kind["frames"]), rate, gap))
+    duration = say.row([link["duration_s"]], ".1f")
+    head = say(
+        "info.link", link=link["link"], frames=link["frames"], size=link["frame_bytes"], duration=duration
+    )
+    return [head, *map("  ".__add__, told)]
+
+
+def _row(kind: str, frames: str, rate: str, gap: str) -> str:
+    return f"{kind:<34} {frames:>8} {rate:>9} {gap:>14}"
 
 
 def replay(
@@ -172,6 +197,7 @@ def replay(
     to: Annotated[str, option("udp://HOST:PORT, tcp://HOST:PORT (waits for a reader) or pty.")],
     link: Link = None,
     speed: Annotated[float, option("Speed factor; 0: as fast as the receiver accepts.", min=0)] = 1.0,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Send the raw frames of a link, byte for byte and in their order.
@@ -183,9 +209,10 @@ def replay(
     from acquire.log import replay as replaying
     from acquire.transports.sinks import open_sink
 
+    say = texts(spoken(language))
     name = replaying.choose_link(log, link)
     with open_sink(to) as (sink, address):
-        typer.echo(f"replaying {name} to {address}", err=True)
+        typer.echo(say("replay.begins", link=name, address=address), err=True)
         sent = replaying.replay(log, name, sink, speed, time.monotonic, time.sleep)
     answer(
         as_json,
@@ -197,9 +224,12 @@ def replay(
             "recorded_s": sent.recorded_s,
             "lost": sent.lost,
         },
-        lambda: (
-            f"sent {sent.frames} frames, {sent.size} bytes, recorded in {sent.recorded_s:.1f} s; "
-            + ("losses on the network are not known" if sent.lost is None else f"{sent.lost} lost")
+        lambda: say(
+            "replay.sent",
+            frames=sent.frames,
+            size=sent.size,
+            duration=say.row([sent.recorded_s], ".1f"),
+            lost=say("replay.unknown") if sent.lost is None else say("replay.lost", count=sent.lost),
         ),
     )
 
@@ -209,6 +239,7 @@ def recover(
     output: Annotated[
         Path | None, option("Repaired log (default: NAME.recovered.mcap).", "-o", "--output")
     ] = None,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Save every intact chunk of a flight log that was truncated or damaged.
@@ -217,6 +248,7 @@ def recover(
     """
     from acquire.importing.recovery import recover as repair
 
+    say = texts(spoken(language))
     target = output or log.with_suffix(".recovered.mcap")
     if target.resolve() == log.resolve():
         raise ConfigurationError(
@@ -234,17 +266,17 @@ def recover(
             "had_its_end": result.complete,
             "damaged": list(result.damaged),
         },
-        lambda: _recovered(result, log, target),
+        lambda: _recovered(result, log, target, say),
     )
 
 
-def _recovered(result: "Recovered", log: Path, target: Path) -> str:
+def _recovered(result: "Recovered", log: Path, target: Path, say: Texts) -> str:
     if result.intact:
-        return f"{log} was whole, {target} is a copy: {result.messages} messages"
-    lines = [f"saved {result.messages} messages in {result.chunks} chunks to {target}"]
+        return say("recover.whole", log=log, copy=target, count=result.messages)
+    lines = [say("recover.saved", count=result.messages, chunks=result.chunks, copy=target)]
     if not result.complete:
-        lines.append("the log was not closed: what was written after its last complete chunk is lost")
-    lines += [f"skipped: {text}" for text in result.damaged]
+        lines.append(say("recover.not_closed"))
+    lines += [say("recover.skipped", damage=say.refused(damage)) for damage in result.damaged]
     return "\n".join(lines)
 
 
@@ -252,6 +284,7 @@ def export(
     log: Log,
     output: Annotated[Path, option("Telemetry log to write (.tlog).", "-o", "--output")],
     link: Link = None,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Write the vehicle's link as a telemetry log that ground stations and pymavlink read.
@@ -260,10 +293,11 @@ def export(
     """
     from acquire.log.replay import choose_link, export_tlog
 
+    say = texts(spoken(language))
     name = choose_link(log, link)
     count = export_tlog(log, name, output)
     answer(
         as_json,
         lambda: {"schema": "acquire.export/1", "link": name, "frames": count, "output": str(output)},
-        lambda: f"{name}: {count} frames, wrote {output}",
+        lambda: say("export.wrote", link=name, frames=count, path=output),
     )

@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
-from photocal.base.console import Address, answer, answered, argument, error_lines, option, write_through
+from acquire.commands.texts import refused, texts
+from photocal.base.console import (
+    Address,
+    Check,
+    Language,
+    answer,
+    answered,
+    argument,
+    error_lines,
+    option,
+    write_through,
+)
+from photocal.base.sentences import Texts, spoken
 
 if TYPE_CHECKING:
     import threading
@@ -22,6 +34,7 @@ if TYPE_CHECKING:
 def check(
     configuration: Annotated[Path, argument("Configuration (TOML) of the recording.")],
     seconds: Annotated[float, option("How long to listen.", min=0.1, max=600)] = 5.0,
+    language: Language = "",
     as_json: Annotated[bool, option("Print the findings as JSON.", "--json")] = False,
 ) -> None:
     """Check ports, heartbeats, fix, rates, disk space and clock before a flight.
@@ -38,6 +51,7 @@ def check(
     from drivers.mavlink.dialect import ardupilotmega
     from photocal.base.errors import DeviceError
 
+    say = texts(spoken(language))
     chosen = read_configuration(configuration)
     host, dialect = Host(), ardupilotmega()
     positions = caster_positions(chosen, dialect)
@@ -46,17 +60,23 @@ def check(
     answer(
         as_json,
         lambda: preflight.as_json(checks),
-        lambda: "\n".join(f"{'good' if c.state == 'good' else 'BAD '}  {c.part}: {c.text}" for c in checks),
+        lambda: "\n".join(_checked(one, say) for one in checks),
     )
-    bad = [finding.part for finding in checks if finding.state != "good"]
+    bad = [one.part if as_json else say.stored(one.part) for one in checks if one.state != "good"]
     if bad:
         raise DeviceError(
             f"not ready: {', '.join(bad)}", "correct these before the flight", where=configuration
         )
 
 
+def _checked(one: Check, say: Texts) -> str:
+    state = say("check.good" if one.state == "good" else "check.bad")
+    return f"{state}  {say.stored(one.part)}: {say.stored(one.text)}"
+
+
 def record(
     configuration: Annotated[Path, argument("Configuration (TOML): [recording], [[link]], [site].")],
+    language: Language = "",
     as_json: Annotated[bool, option("Print the figures as JSON at the end.", "--json")] = False,
 ) -> None:
     """Record all links until Ctrl-C; the file is safe on disk at least once a second.
@@ -68,14 +88,18 @@ def record(
     from photocal.base.errors import PhotocalError
     from photocal.base.operating_system import stopped_by_signals
 
+    say = texts(spoken(language))
     chosen = read_configuration(configuration)
     stop = stopped_by_signals()
     try:
         result = recording(
-            chosen, configuration.parent, stop, lambda text: write_through(sys.stderr, f"{text}\n")
+            chosen,
+            configuration.parent,
+            stop,
+            lambda text: write_through(sys.stderr, f"{say.stored(text)}\n"),
         )
     except PhotocalError as failure:
-        _last_words(sys.stderr, error_lines(failure))
+        _last_words(sys.stderr, error_lines(failure, refused))
         raise typer.Exit(failure.exit_code) from failure
     text = answered(
         as_json,
@@ -100,10 +124,10 @@ def record(
         },
         lambda: "\n".join(
             [
-                f"{name}: {t.frames} frames, {t.damage_bytes} bytes of damage"
+                say("record.link", link=name, frames=t.frames, damage=t.damage_bytes)
                 for name, t in result.tallies.items()
             ]
-            + [f"wrote {path}" for path in result.paths]
+            + [say("record.wrote", path=path) for path in result.paths]
         ),
     )
     _last_words(sys.stdout, f"{text}\n")

@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from photocal.base.sentences import Count
+
 MINUS = "\u2212"
 SUPERSCRIPTS = str.maketrans(
     "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
@@ -115,12 +117,3 @@ class Number:
         if not form or form[0] == "s":
             return significant(self.value, int(form[1:] or 4), self.mark)
         return format(self.value, form).replace("-", MINUS).replace(".", self.mark)
-
-
-class Count(int):
-    """A count that a text formats itself: with "mark|marks" it is "1 mark", and "0 marks" or "2 marks"."""
-
-    def __format__(self, form: str) -> str:
-        """Write it."""
-        one, both, many = form.partition("|")
-        return f"{int(self)} {one if self == 1 else many}" if both else format(int(self), form)

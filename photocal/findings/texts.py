@@ -3,30 +3,25 @@
 import datetime as dt
 import json
 import math
-import os
 import re
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from typing import Any
 
 from photocal.base.arrays import as_plain
 from photocal.base.codec import from_plain
 from photocal.base.console import printable
-from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.base.extensions import HYPOTHESES, brought
-from photocal.findings.digits import MINUS, Count, Number, as_given, fixed, measured, significant, symbol
+from photocal.base.sentences import LANGUAGES as LANGUAGES
+from photocal.base.sentences import Texts, read_texts
+from photocal.base.sentences import spoken as spoken
+from photocal.findings.digits import MINUS, Number, as_given, fixed, measured, significant, symbol
 from photocal.findings.finding import Finding
 
-LANGUAGES = ("en", "pt-BR")
 # Their sections may add to each other, their keys are all different.
-CATALOGUES = ("findings", "report", "analysis", "verdict", "terminal", "new", "commands", "refusals")
-
-# In a refusal these places may have a word of ours, which has its own translation.
-_WORD_PLACES = ("what", "role", "kind", "height", "height_kind", "model", "stated")
-_PLACE = re.compile(r"\{\w+\}")
+CATALOGUES = ("findings", "report", "analysis", "verdict", "terminal", "new", "commands")
 
 
 @dataclass(frozen=True)
@@ -36,87 +31,14 @@ class Words:
     words: Mapping[str, Mapping[str, str]]
 
 
-@dataclass(frozen=True)
-class Catalogue:
-    """All texts of one language.
-
-    messages: texts by their dotted keys; places for values in braces.
-    """
-
-    language: str
-    mark: str
-    messages: Mapping[str, str]
-
-    def __call__(self, key: str, **values: object) -> str:
-        """Give one text with its values put in."""
-        counts = {name: Count(value) for name, value in values.items() if type(value) is int}
-        return self.messages[key].format(**(values | counts))
+@dataclass(frozen=True, eq=False)
+class Catalogue(Texts):
+    """All texts of one language, with numbers as reports print them."""
 
     def told(self, key: str, **values: object) -> str:
         """Give one text for a terminal: decimals with the mark of the language, and a plain minus sign."""
         figures = {k: Number(v, self.mark) if isinstance(v, float) else v for k, v in values.items()}
         return self(key, **figures).replace(MINUS, "-")
-
-    def row(self, values: Iterable[float], form: str, joint: str = " ") -> str:
-        """Write numbers one after another for a terminal, with the decimal mark of the language."""
-        return joint.join(f"{value:{form}}".replace(".", self.mark) for value in values)
-
-    def stored(self, text: str, own: Mapping[str, str] | None = None) -> str:
-        """Say in this language what a record has in English; what is not known stands as it is.
-
-        own: other texts that are known, English to this language, with places for values in braces.
-        """
-        return text if self.language == "en" else self._known(text, "stored", own)
-
-    def refused(self, text: str) -> str:
-        """Say in this language what a command refuses, "place: what happened; what to do".
-
-        A refusal that is not known stands in English.
-        """
-        if self.language == "en":
-            return text
-        parts, said = text.split("; "), list[str]()
-        while parts:
-            # A sentence may have semicolons of its own.
-            for n in range(1, len(parts) + 1):
-                whole = "; ".join(parts[:n])
-                if (known := self._placed(whole)) != whole:
-                    break
-            else:
-                n, known = 1, parts[0]
-                if not said:
-                    return text
-            said.append(known)
-            parts = parts[n:]
-        return "; ".join(said)
-
-    def _placed(self, text: str) -> str:
-        """Say a sentence behind the place that it speaks of."""
-        parts = text.split(": ")
-        for k in reversed(range(len(parts))):
-            end = ": ".join(parts[k:])
-            if (known := self._known(end, "refusal")) != end:
-                return ": ".join([*(self._known(part, "refusal") for part in parts[:k]), known])
-        return text
-
-    def _known(self, text: str, section: str, own: Mapping[str, str] | None = None) -> str:
-        for english, said in (*(own or {}).items(), *_twins(self.language, section)):
-            if found := _pattern(english).fullmatch(text):
-                return said.format(
-                    **{name: self._part(name, part, section) for name, part in found.groupdict().items()}
-                )
-        return text
-
-    def _part(self, name: str, text: str, section: str) -> str:
-        """Say what stands in the place of a value: a number, a refusal of its own, or a word."""
-        if section == "refusal":
-            word = self._known(text, "refusal_word") if name in _WORD_PLACES else text
-            text = word if word != text else self._known(text, section)
-        return self._decimal(text)
-
-    def _decimal(self, text: str) -> str:
-        """Give a number the decimal mark; what is no number stays."""
-        return text.replace(".", self.mark) if re.fullmatch(r"-?\d+\.\d+", text) else text
 
     def fixed(self, value: float, decimals: int) -> str:
         """Print a number as `digits.fixed` does; so do the others."""
@@ -144,55 +66,16 @@ class Catalogue:
         return self("date.form", day=day.day, month=month, year=day.year)
 
 
-def spoken(language: str = "") -> str:
-    """Return the language of texts at the terminal: the one asked for, else that of the environment."""
-    told = filter(None, map(os.environ.get, ("LC_ALL", "LC_MESSAGES", "LANG")))
-    return language or ("pt-BR" if next(told, "").lower().startswith("pt") else "en")
-
-
 @cache
 def catalogue(language: str) -> Catalogue:
     """Read the texts of a language; raises ConfigurationError for a language that there is none of."""
-    if language not in LANGUAGES:
-        raise ConfigurationError(
-            f"no texts in language {language!r}", f"choose one of {', '.join(LANGUAGES)}"
-        )
-    messages = dict[str, str]()
+    messages = read_texts("photocal.base", "refusals", language)
     for name in CATALOGUES:
-        text = resources.files(__package__).joinpath(f"{name}_{language}.toml").read_text(encoding="utf-8")
-        messages |= dict(_flat(tomllib.loads(text), ""))
+        messages |= read_texts("photocal.findings", name, language)
     for added in brought(HYPOTHESES, Words).values():
         messages = {**added.words.get(language, added.words.get("en", {})), **messages}
-    return Catalogue(language, messages["number.decimal_mark"], messages)
-
-
-@cache
-def _twins(language: str, section: str) -> tuple[tuple[str, str], ...]:
-    """English texts of a section, and the same in another language."""
-    english, other = catalogue("en").messages, catalogue(language).messages
-    twins = [(text, other[key]) for key, text in english.items() if key.startswith(f"{section}.")]
-    if section == "refusal":
-        # What is wrong with a system is said in both ways.
-        told = [key for key in english if key.startswith("new.unfit_")]
-        twins += [(f"crs = {{crs}}{english[key]}", f"crs = {{crs}}{other[key]}") for key in told]
-    # Of sentences that fit a text, the one with the fewest places for values says it.
-    return tuple(sorted(twins, key=lambda twin: -len(_PLACE.sub("", twin[0]))))
-
-
-@cache
-def _pattern(english: str) -> re.Pattern[str]:
-    """A text with places for values, as it may read."""
-    return re.compile(re.sub(r"\\{(\w+)\\}", r"(?P<\1>.+?)", re.escape(english)))
-
-
-def _flat(tree: Mapping[str, object], prefix: str) -> list[tuple[str, str]]:
-    leaves: list[tuple[str, str]] = []
-    for key, branch in tree.items():
-        if isinstance(branch, Mapping):
-            leaves += _flat(branch, f"{prefix}{key}.")
-        else:
-            leaves.append((prefix + key, str(branch)))
-    return leaves
+    english = messages if language == "en" else catalogue("en").messages
+    return Catalogue(language, messages["number.decimal_mark"], messages, english)
 
 
 # Figures that name parameters of the camera model.

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from acquire.channels.summary import verdict_lines, verdict_on
+from acquire.commands.texts import texts
 
 
 def kind(name: str, longest_gap_s: float = 0.2, rate_hz: float = 5.0) -> dict[str, Any]:
@@ -17,6 +18,7 @@ def link(name: str, *kinds: dict[str, Any], damage: int = 0) -> dict[str, Any]:
     return {"link": name, "types": list(kinds), "damage_bytes": damage, "frame_bytes": 10_000}
 
 
+ENGLISH = texts("en")
 ROVER = link("rover", kind("RXM-RAWX"), kind("RXM-SFRBX"), kind("TIM-TM2", 30.0))
 BASE = link("base", kind("1077", 1.0, 1.0), kind("1005", 10.0, 0.1))
 SEEN = {"trigger": 10, "feedback": 10, "rising": 10, "falling": 9}
@@ -29,7 +31,7 @@ def figures(*links: dict[str, Any], complete: bool = True) -> dict[str, Any]:
 def test_a_whole_flight_is_complete() -> None:
     said = verdict_on(figures(ROVER, BASE), SEEN)
     assert said["complete"]
-    assert verdict_lines(said) == [
+    assert verdict_lines(said, ENGLISH) == [
         "verdict: complete",
         "  pictures: 10 triggered, 10 reported by the autopilot, 10 time marks",
         "  rover: raw observations at 5 Hz without gaps",
@@ -59,7 +61,7 @@ def test_a_whole_flight_is_complete() -> None:
     ],
 )
 def test_what_lacks_is_named(links: tuple[dict[str, Any], ...], seen: dict[str, int], words: str) -> None:
-    assert words in "\n".join(verdict_lines(verdict_on(figures(*links), seen)))
+    assert words in "\n".join(verdict_lines(verdict_on(figures(*links), seen), ENGLISH))
 
 
 def test_a_flight_with_gaps_is_not_complete() -> None:
@@ -69,4 +71,4 @@ def test_a_flight_with_gaps_is_not_complete() -> None:
 def test_a_cut_log_is_not_complete() -> None:
     said = verdict_on(figures(ROVER, BASE, complete=False), SEEN)
     assert not said["complete"]
-    assert "acquire recover" in "\n".join(verdict_lines(said))
+    assert "acquire recover" in "\n".join(verdict_lines(said, ENGLISH))
