@@ -34,7 +34,7 @@ def test_the_recorder_reads_what_the_vehicle_knows_of_its_mounting(
     vehicle = {"name": "vehicle", "protocol": "mavlink", "url": f"udp://127.0.0.1:{port}", "vehicle": {}}
     with on_udp(autopilot, "127.0.0.1", port):
         done, told = run(configured(vehicle), tmp_path, said("parameters: acquire info"))
-    assert "vehicle tells 4 parameters: acquire info shows those of its mounting" in told
+    assert "vehicle reports 4 parameters: acquire info shows those of its mounting" in told
     # Each name goes over the link twice at the most, those that were told once.
     asked = [name for name, *_ in autopilot.heard if name == "PARAM_REQUEST_READ"]
     assert len(asked) == 2 * len(NAMES) - 4

@@ -175,7 +175,7 @@ def test_check_prints_its_tables_in_the_language(
     ("asked", "said"),
     [
         ([], "all grids of EPSG:31982 are installed"),
-        (["--lang", "pt-BR"], "todas as grades de EPSG:31982 estão aqui"),
+        (["--lang", "pt-BR"], "todas as grades de EPSG:31982 estão instaladas"),
     ],
 )
 def test_fetch_grids_speaks_the_language(
