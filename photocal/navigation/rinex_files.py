@@ -14,6 +14,7 @@ import gzip
 import io
 import re
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -195,6 +196,12 @@ def _date_named(path: Path) -> int | None:
     return None
 
 
+# What damaged files raise when they are unpacked, and how long they may become: a station's day of 10 Hz is
+# shorter.
+_DAMAGES = (
+    OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+_MOST_BYTES, _TOO_LONG = 4 << 30, "longer than 4 GiB"
 _EPOCH_3 = re.compile(rb"> (\d{4}) ")
 _EPOCH_2 = re.compile(rb" (\d\d) [ \d]\d [ \d]\d [ \d]\d [ \d]\d[ \d]{2,3}\.\d{7}  \d")
 # Messages of RINEX 4 that older RINEX has, and how many lines of a record it has; 0: all.
@@ -300,8 +307,10 @@ def _members(data: bytes, path: Path) -> dict[str, bytes]:
         return {path.name: unpacked(data, path)}
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if sum(member.file_size for member in archive.infolist()) > _MOST_BYTES:
+                raise ValueError(_TOO_LONG)
             packed = {name: archive.read(name) for name in archive.namelist() if not name.endswith("/")}
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as refusal:
+    except _DAMAGES as refusal:
         raise InputMalformedError(
             f"cannot be unpacked ({refusal})", "fetch the file again", where=path
         ) from refusal
@@ -316,11 +325,14 @@ def unpacked(data: bytes, path: Path) -> bytes:
     """
     try:
         if data[:2] == b"\x1f\x8b":
-            data = gzip.decompress(data)
+            with gzip.GzipFile(fileobj=io.BytesIO(data)) as stream:
+                data = stream.read(_MOST_BYTES + 1)
+            if len(data) > _MOST_BYTES:
+                raise ValueError(_TOO_LONG)
         if data[:2] != b"\x1f\x9d" and b"CRINEX VERS" not in data[:100]:
             return data
         return _by_hatanaka(data, path)
-    except (OSError, EOFError, ValueError) as refusal:
+    except _DAMAGES as refusal:
         raise InputMalformedError(
             f"cannot be unpacked ({refusal})", "fetch the file again", where=path
         ) from refusal

@@ -14,6 +14,7 @@ from drivers.frames import Wire
 from drivers.rtcm3 import encode
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError
 from photocal.base.time_scales import GPS_EPOCH_NS
+from photocal.navigation import rinex_files
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.precise_results import count_ephemerides, read_observation_file
 from photocal.navigation.rinex_files import (
@@ -85,6 +86,41 @@ def test_an_archive_of_a_station_has_observations_and_ephemerides(shared: Path, 
     assert observations_ready(alone, Rtklib(), tmp_path / "made", TODAY).navigation == ()
     with pytest.raises(IllPosedError, match="no ephemerides"):
         navigation_ready(alone, tmp_path / "n")
+
+
+@pytest.mark.parametrize("kind", ["gz", "zip"])
+def test_damaged_packing_is_refused_wherever_it_is_damaged(kind: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    plain = rng.integers(48, 58, 3000, np.uint8).tobytes()
+    whole = tmp_path / "whole"
+    if kind == "gz":
+        whole.write_bytes(gzip.compress(plain))
+    else:
+        with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("site.obs", plain)
+    path = tmp_path / f"site.obs.{kind}"
+    for place in range(4, whole.stat().st_size, 7):
+        spoilt = bytearray(whole.read_bytes())
+        spoilt[place : place + 3] = rng.bytes(3)
+        path.write_bytes(spoilt)
+        # Some bytes matter to nobody; then it is no RINEX file.
+        with pytest.raises(InputMalformedError):
+            observations_ready(path, Rtklib(), tmp_path / "out", TODAY)
+
+
+@pytest.mark.parametrize("kind", ["gz", "zip"])
+def test_what_grows_without_end_is_refused(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rinex_files, "_MOST_BYTES", 1 << 20)
+    path, plain = tmp_path / f"site.obs.{kind}", bytes(1 << 21)
+    if kind == "gz":
+        path.write_bytes(gzip.compress(plain))
+    else:
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("site.obs", plain)
+    with pytest.raises(InputMalformedError, match="longer than"):
+        observations_ready(path, Rtklib(), tmp_path / "out", TODAY)
 
 
 @pytest.mark.shared
