@@ -20,6 +20,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
+from photocal.base.archives import DAMAGES
 from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.base.files import output_file
@@ -331,7 +332,7 @@ def verify(octets: bytes) -> dict[str, Any]:
         try:
             with zipfile.ZipFile(archive) as packed:
                 _unpack(packed, unpacked)
-        except (zipfile.BadZipFile, NotImplementedError, RuntimeError) as refusal:
+        except DAMAGES as refusal:
             raise InputMalformedError(f"is not a zip ({refusal})", "drop the zip that was sent") from refusal
         found = sorted(unpacked.rglob(_RECORD), key=lambda path: len(path.parts))
         if not found:

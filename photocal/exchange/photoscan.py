@@ -7,9 +7,7 @@ Standard deviations come from the project's settings: `accuracy_projections` for
 for tie points (px), `accuracy_markers` for markers without their own (m). Nothing is unpacked to disk.
 """
 
-import struct
 import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +17,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.base.archives import DAMAGES
 from photocal.base.arrays import Floats
 from photocal.base.errors import InputMalformedError
 from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, ObjectPoints, Observations
@@ -44,11 +43,6 @@ _TYPES = {
     "double": "<f8",
 }
 _MAX_MEMBER = 256 << 20
-# What a damaged, encrypted or exotic archive makes the reader raise.
-_ARCHIVE_FAILURES = (
-    zipfile.BadZipFile, zlib.error, struct.error, NotImplementedError, RuntimeError, EOFError, OSError,
-    UnicodeDecodeError,
-)  # fmt: skip
 
 
 def read(path: Path) -> ForeignProject:
@@ -60,7 +54,7 @@ def read(path: Path) -> ForeignProject:
         with zipfile.ZipFile(path) as archive:
             root = parse_xml(_member(archive, "doc.xml", path, MAX_XML_BYTES), path)
             return replace(_project(archive, root, path), program="PhotoScan")
-    except _ARCHIVE_FAILURES as failure:
+    except DAMAGES as failure:
         raise InputMalformedError(
             f"is not a readable archive ({failure})", "was it written completely?", where=path
         ) from failure

@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.base.archives import DAMAGES
 from photocal.base.arrays import Bytes, Columns, Integers
 from photocal.base.files import output_file
 
@@ -39,7 +39,7 @@ def cached(folder: Path, key: str, names: tuple[str, ...], make: Callable[[], Ar
         # Opened here, so that a damaged file is closed again.
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as held:
             return {name: held[name] for name in names}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except (KeyError, *DAMAGES):
         made = make()
     with output_file(path) as aside, aside.open("wb") as target:
         np.savez(target, **made)  # type: ignore[arg-type]

@@ -10,11 +10,7 @@ the base D-RTK 2, `RTK*.DAT`; older ones of that base hold frames of NovAtel. Wh
 not its ending.
 """
 
-import gzip
-import io
 import re
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.frames import Frame, StreamFramer, Wire
+from photocal.base.archives import DAMAGES, gunzipped, unzipped
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError, reading
 from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS
 from photocal.navigation.engine import Rtklib
@@ -196,12 +193,8 @@ def _date_named(path: Path) -> int | None:
     return None
 
 
-# What damaged files raise when they are unpacked, and how long they may become: a station's day of 10 Hz is
-# shorter.
-_DAMAGES = (
-    OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
-_MOST_BYTES, _TOO_LONG = 4 << 30, "longer than 4 GiB"
+# A station's day of 10 Hz is shorter.
+_MOST_BYTES = 4 << 30
 _EPOCH_3 = re.compile(rb"> (\d{4}) ")
 _EPOCH_2 = re.compile(rb" (\d\d) [ \d]\d [ \d]\d [ \d]\d [ \d]\d[ \d]{2,3}\.\d{7}  \d")
 # Messages of RINEX 4 that older RINEX has, and how many lines of a record it has; 0: all.
@@ -306,11 +299,8 @@ def _members(data: bytes, path: Path) -> dict[str, bytes]:
     if data[:4] != b"PK\x03\x04":
         return {path.name: unpacked(data, path)}
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            if sum(member.file_size for member in archive.infolist()) > _MOST_BYTES:
-                raise ValueError(_TOO_LONG)
-            packed = {name: archive.read(name) for name in archive.namelist() if not name.endswith("/")}
-    except _DAMAGES as refusal:
+        packed = unzipped(data, _MOST_BYTES)
+    except DAMAGES as refusal:
         raise InputMalformedError(
             f"cannot be unpacked ({refusal})", "fetch the file again", where=path
         ) from refusal
@@ -325,14 +315,11 @@ def unpacked(data: bytes, path: Path) -> bytes:
     """
     try:
         if data[:2] == b"\x1f\x8b":
-            with gzip.GzipFile(fileobj=io.BytesIO(data)) as stream:
-                data = stream.read(_MOST_BYTES + 1)
-            if len(data) > _MOST_BYTES:
-                raise ValueError(_TOO_LONG)
+            data = gunzipped(data, _MOST_BYTES)
         if data[:2] != b"\x1f\x9d" and b"CRINEX VERS" not in data[:100]:
             return data
         return _by_hatanaka(data, path)
-    except _DAMAGES as refusal:
+    except DAMAGES as refusal:
         raise InputMalformedError(
             f"cannot be unpacked ({refusal})", "fetch the file again", where=path
         ) from refusal
