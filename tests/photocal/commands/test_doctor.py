@@ -107,7 +107,7 @@ DAMAGES: dict[Callable[[Path, Patch], None], tuple[str, str, str]] = {
     another_engine: ("PPK engine", "does not answer", "rtklib"),
     no_browser: ("browser", "none: pages", "install one"),
     wrong_clock: ("clock", "says 1970-01-01", "set the clock"),
-    full_disk: ("disk", "0 GB free", "make room"),
+    full_disk: ("disk", "0 GB free", "free at least"),
     little_memory: ("memory", "0.8 GiB", "4 GiB"),
     old_leap_seconds: ("leap seconds", "known until 2026-01-01", "upgrade tzdata"),
     open_key: ("key", "open to others", "chmod 700"),

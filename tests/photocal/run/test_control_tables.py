@@ -242,7 +242,7 @@ def test_what_a_person_says_of_heights_stands_before_the_head(folder: Path, phot
     (folder / "p.csv").write_text(table("Name,Easting,Northing,Orthometric height", "{p},{E},{N},{Z}"))
     found = new(photocal, folder, "--height", "ellipsoidal")
     assert key(folder, "height") == "ellipsoidal"
-    assert any("'Orthometric height' of p.csv says orthometric" in line for line in found["doubtful"])
+    assert any("'Orthometric height' of p.csv states orthometric" in line for line in found["doubtful"])
 
 
 def test_feet_stay_in_a_map_in_feet(folder: Path, photocal: Photocal) -> None:

@@ -59,7 +59,7 @@ LATER = (
     "heights with a wrong sign",
     "other names",
     "heights of another",
-    "control 100",
+    "control shifted",
 )
 
 
@@ -127,7 +127,9 @@ def test_right_control_passes(flown: Block) -> None:
 def test_control_shifted_all_alike_is_told_when_asked(flown: Block) -> None:
     wrong = spoiled(flown, (1, 1, 1), (100.0, 0.0, 0.0))
     check_rays(wrong, None)
-    with pytest.raises(ConfigurationError, match=r"all \+100 m east, .0 m north and .0 m up"):
+    with pytest.raises(
+        ConfigurationError, match=r"all control points lie \+100 m east, .0 m north and .0 m up"
+    ):
         check_rays(wrong, None, alike=True)
 
 

@@ -79,7 +79,7 @@ def test_a_study_of_ones_own_and_a_figure_that_differs(
     [
         ("bias_test/t", "bias_test/tt", "the answer has no"),
         ('printed = "printed/t.csv"', 'printed = "printed/u.csv"', "does not exist"),
-        ('line = "photocal', 'exit = 4\nline = "photocal', "ended with 0, the study says 4"),
+        ('line = "photocal', 'exit = 4\nline = "photocal', "ended with exit code 0, the study states 4"),
     ],
 )
 def test_what_does_not_fit(
