@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from photocal.findings.finding import Finding, Severity, Size, of_global_test
-from photocal.findings.texts import catalogue, finding_text
+from photocal.findings.texts import catalogue, finding_json, finding_text, findings_of
 from photocal.findings.verdict import (
     MOST_LINES,
     Known,
@@ -88,7 +90,11 @@ def test_a_factor_above_one_and_a_half_is_not_usable() -> None:
 def test_a_camera_whose_c_the_heights_hold_is_not_carried_without_a_word(
     code: str, terms: tuple[str, ...], answer: str
 ) -> None:
-    verdict = judge([Finding(code, "note", " ".join(terms), {"terms": terms})])
+    told = Finding(code, "note", " ".join(terms), {"terms": terms}, clauses=("add-control",))
+    verdict = judge([told])
+    # A run reads it back from what the check has stored.
+    stored = json.loads(json.dumps([finding_json(told, EN)]))
+    assert judge(findings_of(stored, "check.json")).camera == verdict.camera
     assert (verdict.camera, verdict.outcome.code, verdict.lines) == (answer, "usable", ())
     assert ("heights" in headline(verdict, EN)) == (answer == "on-heights")
 
