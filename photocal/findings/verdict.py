@@ -163,7 +163,8 @@ def _answer(deciding: Sequence[Finding], elsewhere: frozenset[str]) -> Answer:
 def _of_camera(deciding: Sequence[Finding], listed: Iterable[Finding]) -> Answer:
     """Whether the camera may be carried: that its c follows from the heights of the positions is told."""
     answer = _answer(deciding, _OF_BLOCK)
-    of_heights = any("c" in (f.figures.get("terms") or ()) for f in listed if f.code in _OPEN)
+    terms = (f.figures.get("terms") for f in listed if f.code in _OPEN)
+    of_heights = any(isinstance(of, list | tuple) and "c" in of for of in terms)
     return "on-heights" if answer == "yes" and of_heights else answer
 
 

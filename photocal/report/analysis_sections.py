@@ -1,7 +1,7 @@
 """Sections of a certificate about the analysis: hidden errors, significance, correlations, method."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
@@ -12,7 +12,7 @@ from photocal.base.arrays import Floats
 from photocal.findings.digits import Number, power_of_ten, symbol
 from photocal.findings.document import Column, Paragraph, Piece, Section, TablePart, columns, said_table
 from photocal.findings.finding import Finding
-from photocal.findings.texts import Catalogue, finding_text, need_words
+from photocal.findings.texts import Catalogue, finding_text, need_words, remedy_text, sentence
 from photocal.findings.verdict import by_methods
 from photocal.geometry.camera import Camera
 from photocal.report.stored_analysis import AnalysedRun
@@ -297,12 +297,14 @@ def _loadings(one: PublishedSet, components: Components, say: Catalogue) -> Tabl
     return TablePart(say("analysis.components"), heads, texts)
 
 
-def warning_sections(findings: tuple[Finding, ...], verdict: Sequence[str], say: Catalogue) -> list[Section]:
-    """List warnings and notes, but for those that the lines of the verdict have in full."""
+def warning_sections(findings: tuple[Finding, ...], verdict: str, say: Catalogue) -> list[Section]:
+    """List warnings and notes, but for those that the verdict has in full."""
     tables, once = [], by_methods(findings)
     for kind in ("warning", "note"):
-        every = [finding_text(f, say) for f in once if (f.severity == "note") == (kind == "note")]
-        texts = [text for text in every if not any(text in line for line in verdict)]
+        every = [f for f in once if (f.severity == "note") == (kind == "note")]
+        # The first remedy stands in the paragraph, before its line.
+        further = [f for f in every if not (sentence(f, say) in verdict and remedy_text(f, say) in verdict)]
+        texts = [finding_text(f, say) for f in further]
         heads = (Column(""), *columns(say, "warnings", f"{kind}<"))
         rows = tuple((str(n), text) for n, text in enumerate(texts, start=1))
         if rows:

@@ -35,6 +35,7 @@ def certificate(
     number = certificate_number(run, particulars, warnings)
     sections = _sections(run, particulars, known, warnings, number, say)
     verdicts = _verdicts(run, known, warnings, say)
+    told = " ".join((verdicts[0].text, *verdicts[0].lines))
     return Document(
         language=say.language,
         title=say("title.certificate"),
@@ -43,7 +44,7 @@ def certificate(
         facts=_facts(run, particulars, number, say),
         highlights=_highlights(run, warnings, say),
         verdicts=verdicts,
-        sections=(*analysis_sections.warning_sections(warnings, verdicts[0].lines, say), *sections),
+        sections=(*analysis_sections.warning_sections(warnings, told, say), *sections),
         words={word: say(f"word.{word}") for word in WORDS},
     )
 

@@ -177,16 +177,16 @@ def test_a_lost_fix_is_said_in_words_and_colour_and_told_until_it_is_heard(page:
     expect(word).to_have_attribute("data-level", "bad")
     banner = page.locator("#banner")
     expect(banner).to_contain_text("vehicle: fix dropped from RTK fixed to no fix")
-    expect(page).to_have_title(re.compile("fix fell"))
+    expect(page).to_have_title(re.compile("fix dropped"))
     field.fix = RTK_FIXED
     expect(word).to_have_text("RTK fixed")
     expect(banner).to_be_visible()
     page.reload()
-    expect(banner).to_contain_text("fix fell")
+    expect(banner).to_contain_text("fix dropped")
     page.click("#heard")
     expect(banner).to_be_hidden()
     page.reload()
-    expect(page.locator("#alarms")).to_contain_text("fix fell")
+    expect(page.locator("#alarms")).to_contain_text("fix dropped")
     expect(banner).to_be_hidden()
 
 

@@ -24,7 +24,7 @@ from photocal.base.errors import InputMalformedError
 from photocal.cli import app
 from photocal.findings.document import Document, KeyValues, PicturePart, TablePart, html, pdf
 from photocal.findings.finding import Finding
-from photocal.findings.texts import catalogue, finding_text
+from photocal.findings.texts import catalogue, finding_text, remedy_text, sentence
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, read_particulars
 from photocal.report.stored_analysis import AnalysedRun, read_run
@@ -258,16 +258,16 @@ def test_a_warning_stands_once_on_the_first_page(run_folder: Path) -> None:
     told = Finding("antenna-height", "grave", figures={"shift_m": 1.8, "sigma_m": 0.1, "side": "above"})
     document = certificate(read_run(run_folder), Metadata(date=DAY), say, (told,))
     page = " ".join(outline(html(document)).text).replace("\u00a0", " ")
-    assert page.count(finding_text(told, say)) == 1
+    assert (page.count(sentence(told, say)), page.count(remedy_text(told, say))) == (1, 1)
     assert document.sections[0].title != "Warnings and notes of the processing"
     many = tuple(every_finding(say))
     document = certificate(read_run(run_folder), Metadata(date=DAY), say, many)
-    verdict = " ".join(document.verdicts[0].lines)
+    verdict = " ".join((document.verdicts[0].text, *document.verdicts[0].lines))
     rows = [
         row[1] for piece in document.sections[0].pieces if isinstance(piece, TablePart) for row in piece.rows
     ]
     assert not any(row in verdict for row in rows)
-    assert all(finding_text(one, say) in {*rows} or finding_text(one, say) in verdict for one in many)
+    assert all(finding_text(one, say) in {*rows} or sentence(one, say) in verdict for one in many)
 
 
 def test_what_a_laboratory_did_not_state_is_said(run_folder: Path) -> None:

@@ -122,7 +122,7 @@ def test_copies_of_inputs_are_named(whole: bool, tmp_path: Path, request: pytest
             shutil.copyfile(source / "large.bin", folder / "large.bin")
 
     with pytest.raises(
-        OutputError, match=r"large/large\.bin: cannot be written \(file too large\); make room"
+        OutputError, match=r"large/large\.bin: cannot be written \(file too large\); free disk space"
     ):
         update_stage(Stage("large", "", make), work, Digests(work / "digests.json"), quiet)
 
