@@ -7,10 +7,7 @@ import zipfile
 import zlib
 
 # What a damaged, encrypted or exotic archive makes its reader raise.
-DAMAGES = (
-    zipfile.BadZipFile, zlib.error, struct.error, NotImplementedError, RuntimeError, EOFError, OSError,
-    ValueError,
-)  # fmt: skip
+DAMAGES = (zipfile.BadZipFile, zlib.error, struct.error, RuntimeError, EOFError, OSError, ValueError)
 
 
 def unzipped(data: bytes, most: int) -> dict[str, bytes]:

@@ -16,8 +16,10 @@ _WRITING = {*_NO_ROOM, errno.EROFS}
 class PhotocalError(Exception):
     """A failure with its place and a remedy.
 
-    what: what happened, in the user's words, without a final full stop. remedy: what to do about it. where:
-    file, line, image or point that is concerned. details: additional figures, a line each.
+    what: what happened, in the user's words, without a final full stop.
+    remedy: what to do about it.
+    where: file, line, image or point that is concerned.
+    details: additional figures, a line each.
     """
 
     exit_code = 1

@@ -26,7 +26,7 @@ Answer = Literal["yes", "on-heights", "reserved", "no", "not-placed", "held", "u
 MOST_LINES, ALIKE = 7, 3
 # Causes that no camera can have estimated that was held because the block does not bear it.
 _ESTIMATED = ("principal-distance", "principal-point")
-# What the positions alone hold.
+# What the flight itself leaves open.
 _OPEN = ("not-separated", "not-determined")
 # What each method of georeferencing shows of one matter.
 _OF_METHODS = ("check-outside-prediction", "control-outside-prediction", "method-refused", "global-test")

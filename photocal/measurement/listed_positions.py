@@ -275,20 +275,12 @@ def _shifted(ours: Floats, theirs: Floats) -> tuple[int, int] | None:
     if len(rows) < 2 * fewest:
         return None
     apart, along = (ours - theirs)[rows], spacing[rows]
-    design = np.zeros((len(rows), 2, 4))
-    design[:, 0, 0], design[:, 1, 1], design[:, :, 2] = 1.0, 1.0, along
-
-    def fit(count: int) -> tuple[float, float]:
-        """Step behind so many rows, in spacings, and the squares that it leaves."""
-        design[:, :, 3] = np.where(np.arange(len(rows)) >= count, along.T, 0.0).T
-        found = np.linalg.lstsq(design.reshape(-1, 4), apart.ravel(), rcond=1e-6)[0]
-        return float(found[3]), float(np.sum((apart - design @ found) ** 2))
-
-    tried = {count: fit(count) for count in range(fewest, len(rows) - fewest + 1)}
-    count = min(tried, key=lambda count: tried[count][1])
-    step, squares = tried[count]
+    steps, squares = _steps(apart, along)
+    tried = slice(fewest, len(rows) - fewest + 1)
+    count = fewest + int(np.argmin(squares[tried]))
+    step = float(steps[count])
     by, typical = round(step), float(np.median(np.linalg.norm(along, axis=1)))
-    steady = squares <= len(rows) * (left * typical) ** 2 and squares <= drop * fit(len(rows))[1]
+    steady = squares[count] <= min(len(rows) * (left * typical) ** 2, drop * squares[-1])
     if not by or abs(step - by) > whole or not steady:
         return None
     # The gap itself lies between, among rows that have no spacing: the first that is nearer to those behind.
@@ -296,3 +288,27 @@ def _shifted(ours: Floats, theirs: Floats) -> tuple[int, int] | None:
     jump = (ours - theirs)[between] - apart[count - 1]
     nearer = np.linalg.norm(jump - by * along[count], axis=1) < np.linalg.norm(jump, axis=1)
     return int(between[int(np.argmax(nearer))]), by
+
+
+def _steps(apart: Floats, along: Floats) -> tuple[Floats, Floats]:
+    """Fit offset, lateness and a step behind each count of rows: steps in spacings, and the squares left.
+
+    apart, along (n, 2): differences and spacings, m.
+    returns: (n + 1,) each; behind all rows there is no step.
+    """
+    rows = np.zeros((len(apart), 2, 4))
+    rows[:, 0, 0], rows[:, 1, 1], rows[:, :, 2] = 1.0, 1.0, along
+    # Of the rows behind, the step has the column of the lateness.
+    normal, right = np.einsum("nai,naj->nij", rows, rows), np.einsum("nai,na->ni", rows, apart)
+    behind_normal, behind_right = (
+        np.concatenate([np.cumsum(part[::-1], axis=0)[::-1], np.zeros_like(part[:1])])
+        for part in (normal[:, :, 2], right[:, 2])
+    )
+    system = np.repeat(normal.sum(axis=0)[None], len(apart) + 1, axis=0)
+    system[:, :, 3] = system[:, 3, :] = behind_normal
+    system[:, 3, 3] = behind_normal[:, 2]
+    sides = np.repeat(right.sum(axis=0)[None], len(apart) + 1, axis=0)
+    sides[:, 3] = behind_right
+    # Strips in one direction do not separate an offset from lateness: the shortest solution.
+    found = np.einsum("nij,nj->ni", np.linalg.pinv(system, rcond=1e-10, hermitian=True), sides)
+    return found[:, 3], np.sum(apart**2) - np.einsum("ni,ni->n", found, sides)

@@ -261,12 +261,10 @@ def navigation_ready(path: Path, stem: Path) -> tuple[Path, ...]:
     found = [data for data in members.values() if len(members) == 1 or _is_navigation(data)]
     if not found:
         raise IllPosedError("has no ephemerides", "give a RINEX navigation file", where=path)
-    data = _navigation_3(found[0])
-    if data is given:
+    made = [_navigation_3(one) for one in found]
+    if made[0] is given:
         return (path,)
-    return tuple(
-        _written(_navigation_3(one), stem.with_name(f"{stem.name}-{k}.nav")) for k, one in enumerate(found)
-    )
+    return tuple(_written(one, stem.with_name(f"{stem.name}-{k}.nav")) for k, one in enumerate(made))
 
 
 def _written(data: bytes, path: Path) -> Path:
@@ -276,7 +274,7 @@ def _written(data: bytes, path: Path) -> Path:
 
 def _kind(data: bytes) -> str:
     """Kind of a RINEX file by its head: O for observations; empty for what is none."""
-    return chr(data[20]) if b"RINEX VERSION" in data[:80] else ""
+    return data[20:21].decode("latin-1") if b"RINEX VERSION" in data[:80] else ""
 
 
 def _is_navigation(data: bytes) -> bool:
@@ -297,25 +295,31 @@ def _members(data: bytes, path: Path) -> dict[str, bytes]:
     errors as of `unpacked`.
     """
     if data[:4] != b"PK\x03\x04":
-        return {path.name: unpacked(data, path)}
+        return {path.name: unpacked(data, path, _MOST_BYTES)}
     try:
         packed = unzipped(data, _MOST_BYTES)
     except DAMAGES as refusal:
         raise InputMalformedError(
             f"cannot be unpacked ({refusal})", "fetch the file again", where=path
         ) from refusal
-    return {name: unpacked(content, path) for name, content in packed.items()}
+    most, members = _MOST_BYTES, dict[str, bytes]()
+    for name, content in packed.items():
+        members[name] = unpacked(content, path, most)
+        most -= len(members[name])
+    return members
 
 
-def unpacked(data: bytes, path: Path) -> bytes:
+def unpacked(data: bytes, path: Path, most: int = _MOST_BYTES) -> bytes:
     """Undo gz and Z, and Hatanaka's compression; other bytes are given back as they are.
+
+    most: bytes that a gz file may become.
 
     raises InputMalformedError: for damaged files.
     raises ConfigurationError: where the package that reads them is not installed.
     """
     try:
         if data[:2] == b"\x1f\x8b":
-            data = gunzipped(data, _MOST_BYTES)
+            data = gunzipped(data, most)
         if data[:2] != b"\x1f\x9d" and b"CRINEX VERS" not in data[:100]:
             return data
         return _by_hatanaka(data, path)
