@@ -52,11 +52,14 @@ _WITHOUT_CONTROL = ("block-not-placed", "positions-in-line")
 class Oriented:
     """A block oriented by tie points.
 
+    by_rays: before marks were used. Patches are cut as it orients the images, so that a mark that moves
+        leaves the cached matches as they are.
     verified: all tracks that fit the orientation, before they were thinned.
     marked: the images with the control and the marks that fit.
     """
 
     adjusted: AdjustedTies
+    by_rays: AdjustedTies
     verified: Tracks
     marked: Block
     left_out: tuple[dict[str, str], ...]
@@ -84,8 +87,8 @@ def first_orientation(marked: Block, tracks: Tracks) -> Oriented:
     reached = np.array([not reason for reason in reasons])
     start, tracks = placed.of_images(reached), of_images(tracks, reached)
     stated = dict(zip(names, sigma, strict=True))
-    first = adjust_ties(start, poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL))
-    fits = first.start
+    by_rays = adjust_ties(start, poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL))
+    first, fits = by_rays, by_rays.start
     if len(marked.observations.image) or marked.points.of_role("control").any():
         fits, poses, of_control, controlled = fit_control(first, marked, _views(first))
         if controlled:
@@ -99,7 +102,7 @@ def first_orientation(marked: Block, tracks: Tracks) -> Oriented:
         findings += position_sigmas(as_stated, first.values, shifted=shifted)[2]
     elif marked.datum != "free" and NOT_PLACED not in findings:
         findings.append(NOT_PLACED)
-    return Oriented(first, first.tracks, fits, (*left_out, *first.left_out), tuple(findings))
+    return Oriented(first, by_rays, first.tracks, fits, (*left_out, *first.left_out), tuple(findings))
 
 
 def _with_control(
@@ -171,40 +174,62 @@ def orient_ties(
         places = np.full((tracks.count, 3), np.nan)
         block = with_ties(start, tracks, places, np.ones(len(tracks.track)))
         raise UnorientedError(refusal.what, remedy=refusal.remedy, block=block) from refusal
-    kept = np.isin(names, first.adjusted.start.images.names)
-    tracks, sizes = of_images(tracks, kept), _sizes(first.adjusted.start)
-    tracks = thin(tracks, sizes, CELLS, MATCHED_IN_A_CELL)
-    partners = _partners(pairs, np.flatnonzero(kept), len(names))
-    chosen = [source for source, good in zip(sources, kept, strict=True) if good]
-    left_out, findings = list(first.left_out), [*first.findings, ESTIMATED]
-    final, matched = first.adjusted, tracks
+    by_rays, final, findings = first.by_rays, first.adjusted, [*first.findings, ESTIMATED]
+    matched = of_images(tracks, np.isin(names, by_rays.start.images.names))
+    sizes, left_out = _sizes(by_rays.start), list(first.left_out)
+    matched = thin(matched, sizes, CELLS, MATCHED_IN_A_CELL)
     # How often images are halved, pass after pass, so that each finds what the one before has left.
     longest_px = float(sizes.max())
     levels = (int(np.ceil(np.log2(longest_px / USUAL_PX))), 0) if longest_px > LARGE_PX else (0,)
+    try:
+        for level in levels:
+            if level != levels[0]:
+                before = by_rays.start
+                by_rays = _adjusted(before, by_rays.values, matched)
+                left_out += by_rays.left_out
+                matched = of_images(matched, np.isin(before.images.names, by_rays.start.images.names))
+            matched = _matched(by_rays, matched, (names, sources, pairs), processes, progress, level)
+        seen = np.isin(final.start.images.names, by_rays.start.images.names)
+        start = final.start.of_images(seen)
+        matched = of_images(matched, np.isin(by_rays.start.images.names, start.images.names))
+        final = _adjusted(start, final.values[seen], matched)
+        left_out += final.left_out
+        matched = of_images(matched, np.isin(start.images.names, final.start.images.names))
+    except PhotocalError as refusal:
+        matched = final.tracks
+        findings.append(Finding("matches-not-adjusted", "doubtful", refusal.what))
+    verified = _verified(final, matched)
+    return Oriented(final, by_rays, verified, first.marked, tuple(left_out), tuple(findings))
+
+
+def _matched(
+    by_rays: AdjustedTies,
+    tracks: Tracks,
+    pictures: tuple[Sequence[str], Sequence[ImageSource], Integers],
+    processes: Workers,
+    progress: Progress,
+    level: int,
+) -> Tracks:
+    """Tracks measured again in images that are halved so many times.
+
+    pictures: names and files of all images, and the pairs that show the same.
+    """
+    names, sources, pairs = pictures
+    views, longest_px = _views(by_rays), float(_sizes(by_rays.start).max())
+    kept = np.isin(names, by_rays.start.images.names)
+    chosen = [source for source, good in zip(sources, kept, strict=True) if good]
+    partners = _partners(pairs, np.flatnonzero(kept), len(names))
+    tracks, points = _placed(views, tracks, FIRST_MISS_PX * max(1.0, longest_px / USUAL_PX))
+    with progress("matching tie points precisely", 2 * len(chosen)) as done:
+        matched = refine_reduced(chosen, views, tracks, points, partners, processes, done, level)
     # Matched patches nearer than this show one place.
     twin_px = 4.0
-    for level in levels:
-        views = _views(final)
-        tracks, points = _placed(views, tracks, FIRST_MISS_PX * max(1.0, float(sizes.max()) / USUAL_PX))
-        with progress("matching tie points precisely", 2 * len(chosen)) as done:
-            matched = refine_reduced(chosen, views, tracks, points, partners, processes, done, level)
-        matched = without_twins(matched, twin_px)
-        before = final.start.images.names
-        try:
-            final = adjust_ties(
-                final.start, final.values, _strong(spaced(matched, PATCH_PX), sizes, IN_A_CELL)
-            )
-        except PhotocalError as refusal:
-            matched = final.tracks
-            findings.append(Finding("matches-not-adjusted", "doubtful", refusal.what))
-            break
-        left_out += final.left_out
-        stay = np.isin(before, final.start.images.names)
-        matched, sizes = of_images(matched, stay), sizes[stay]
-        chosen = [source for source, good in zip(chosen, stay, strict=True) if good]
-        partners = [(np.cumsum(stay) - 1)[p[stay[p]]] for p, good in zip(partners, stay, strict=True) if good]
-        tracks = matched
-    return Oriented(final, _verified(final, matched), first.marked, tuple(left_out), tuple(findings))
+    return without_twins(matched, twin_px)
+
+
+def _adjusted(start: Block, values: Floats, matched: Tracks) -> AdjustedTies:
+    """Adjust a block by matched tie points, of which the strong ones are used."""
+    return adjust_ties(start, values, _strong(spaced(matched, PATCH_PX), _sizes(start), IN_A_CELL))
 
 
 def _sizes(block: Block) -> Floats:
