@@ -24,10 +24,9 @@ from photocal.exchange.parts import Mark
 from photocal.exchange.source import MAX_SIDE_PX
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue
-from photocal.measurement.features import Features, FeatureSettings, detect
+from photocal.measurement.features import Features, FeatureSettings
 from photocal.measurement.image_facts import ImageFacts
-from photocal.measurement.image_file import as_eight_bit, read_grey
-from photocal.measurement.match_images import MatchSettings, match
+from photocal.measurement.match_images import MatchingPlan, MatchSettings, features_of, match
 
 # Sizes that people reduce pictures to, of the stored ones, beside what EXIF says was the full one.
 FACTORS = (1.0, 0.5, 0.25, 2.0, 4.0)
@@ -332,9 +331,9 @@ def _features(name: str, folder: Mapping[str, Path], seen: dict[str, Features | 
     """Features of a reduced picture, in pixels of the stored grid."""
     if name not in seen:
         try:
-            grey = as_eight_bit(read_grey(folder[name]))
-            seen[name] = detect(grey, FeatureSettings(longest_px=LONGEST_PX, most=2000))
-        except (PhotocalError, KeyError):
+            reduced = MatchingPlan(features=FeatureSettings(longest_px=LONGEST_PX, most=2000))
+            seen[name] = features_of(folder[name], reduced)
+        except (PhotocalError, KeyError, OSError):
             seen[name] = None
     return seen[name]
 

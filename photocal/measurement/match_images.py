@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.base.arrays import Bytes, Flags, Floats, Integers
-from photocal.base.errors import InputNotFoundError, PhotocalError
+from photocal.base.errors import InputNotFoundError, OutputError, PhotocalError
 from photocal.base.files import digest
 from photocal.base.operating_system import cache_folder
 from photocal.base.progress import Progress
@@ -263,6 +263,19 @@ def _detect_one(image: tuple[Path, str, MatchingPlan]) -> tuple[str, str]:
             raise
         return "", refusal.what
     return key, ""
+
+
+def features_of(path: Path, plan: MatchingPlan) -> Features | None:
+    """Features of one picture, kept where the cache can be written; None where the picture is damaged.
+
+    raises OSError: when the file cannot be opened.
+    """
+    try:
+        key, reason = _detect_one((path, combined_key(FEATURES, digest(path), plan.features), plan))
+    except OutputError:
+        # Few pictures are looked at: without a cache that costs seconds.
+        return detect(as_eight_bit(read_grey(path)), plan.features)
+    return None if reason else _features(plan, key, whole=True)
 
 
 def _match_one(task: tuple[str, str, MatchingPlan]) -> Integers:
