@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,9 +17,12 @@ from PIL import Image
 
 from photocal.adjustment.adjust import adjust
 from photocal.block.folder import read_block
-from photocal.block.model import ROLES
+from photocal.block.model import ROLES, Block
 from photocal.block.network import assemble
 from photocal.measurement.markers import dictionary
+from photocal.measurement.measure import measure
+from photocal.measurement.options import MeasureOptions
+from photocal.project import read_project
 
 from .site import SIDE, Site, flight, plate_place, texture, with_plate
 
@@ -176,6 +180,43 @@ def test_a_project_that_nothing_places_is_free_and_says_so(
     told = {finding["code"]: finding["text"] for finding in record["findings"]}
     assert "calibrated, not georeferenced" in told["block-not-placed"]
     assert "0 of 4 are marked in two pictures" in told["control-not-used"]
+
+
+@pytest.mark.slow
+def test_a_mark_that_moves_lets_no_picture_be_searched_or_matched_again(
+    site: tuple[Path, Site, dict[str, tuple[float, float]]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was measured of tie points is found in the cache, while the mark itself is used as it is now."""
+    folder, cache = tmp_path / "site", tmp_path / "cache"
+    shutil.copytree(site[0], folder)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "own"))
+
+    def marked() -> tuple[set[Path], set[Path], Block]:
+        """Files of both caches, and the block."""
+        options = MeasureOptions(workers=1, cache=cache, marks=(folder / "pix4d.txt",))
+        block = measure(read_project(folder / "project.toml"), options).block
+        return set(cache.rglob("*.npz")), set((tmp_path / "own").rglob("*.npz")), block
+
+    matched, searched, before = marked()
+    assert matched
+    assert searched
+    mark, *others = (folder / "marks.csv").read_text().splitlines()[1:]
+    image, point, x, *rest = mark.split(",")
+    lines = ["image,point,x,y,sx,sy", ",".join([image, point, str(float(x) + 0.6), *rest]), *others]
+    (folder / "marks.csv").write_text("\n".join(lines) + "\n")
+    again, _, after = marked()
+    assert again == matched
+    assert marked()[1] == searched
+    rays = [
+        block.observations.values[block.points.of_role("tie")[block.observations.point]]
+        for block in (before, after)
+    ]
+    assert np.array_equal(*rays)
+    place = after.points.names.index("P5")
+    of_mark = [
+        np.sort(block.observations.values[block.observations.point == place, 0]) for block in (before, after)
+    ]
+    assert np.abs(of_mark[1] - of_mark[0]).max() == pytest.approx(0.6)
 
 
 @pytest.mark.slow
