@@ -11,6 +11,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
+from photocal.adjustment.mounting import BORESIGHT
 from photocal.adjustment.readout import Readout
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
 from photocal.adjustment.solution import ComponentFactor, GlobalTest, Group
@@ -287,6 +288,15 @@ class Figures:
         """By what a rejected global test multiplies standard deviations; None where it does not."""
         test = self.global_test
         return math.sqrt(self.sigma0_squared) if test and not test.accepted and self.sigma0_squared else None
+
+    def common_values(self, given: Floats) -> Floats:
+        """Common values of `adjustment.mounting` (m, rad, s) as they were adjusted, else as given."""
+        if self.mounting is None:
+            return given
+        values = given.copy()
+        values[: len(self.mounting)] = [value.value for value in self.mounting.values()]
+        values[BORESIGHT] = np.radians(values[BORESIGHT])
+        return values
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

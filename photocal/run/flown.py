@@ -3,7 +3,6 @@
 import json
 import math
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from photocal.base.geopackage import changed_utc
 from photocal.base.progress import Progress
 from photocal.block.model import Block
 from photocal.block.motion import velocity_of_neighbours
-from photocal.block.network import local_positions
+from photocal.block.network import positions_at
 from photocal.findings.texts import as_record
 from photocal.geometry.frames import LocalFrame
 from photocal.geometry.strips import lines_of_places, order_of_places, strips
@@ -115,14 +114,9 @@ def measure_flown(
     figures |= {"control_by_strip": control, "held_by_positions": held_by_positions(model)}
     apart = None
     if run is not None:
-        result = read_result(run)
-        adjusted = {name: one.value for name, one in (result.mounting or {}).items()}
-        index = {name: k for k, name in enumerate(shots.names)}
-        place = np.array([index[model.images.names[k]] for k in model.positions.image], dtype=np.int64)
-        positions = replace(local_positions(model.positions, frame), image=place)
-        apart = position_differences(
-            shots.names, shots.rotation, shots.station, positions, model.mounting, adjusted
-        )
+        common = read_result(run).common_values(model.mounting.values)
+        observed = positions_at(model, frame, shots.names)
+        apart = position_differences(shots, observed, model.mounting, common)
         if apart is not None:
             figures["positions"] = apart.figures()
     if (plan := files.plan) is not None:

@@ -7,17 +7,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from photocal.adjustment.ellipses import ellipses, ellipsoids
-from photocal.adjustment.mounting import BORESIGHT, antennas, body_to_camera
+from photocal.adjustment.mounting import antennas, body_to_camera
 from photocal.base.arrays import Floats, Integers
 from photocal.base.policy import policy
 from photocal.block.model import ROLES
-from photocal.block.network import local_positions
+from photocal.block.network import positions_at
 from photocal.desk.views.shown import Shown, numbers
 from photocal.findings.finding import Finding
 from photocal.findings.texts import PARAMETERS as PARAMETER_FIGURES
@@ -119,24 +118,18 @@ def position_residuals(shown: Shown) -> tuple[Floats, Floats, Integers]:
     returns residual, sigma (images, 3): NaN without an observed position; sigma as it was stated.
     returns strip (images,): 0 where no strip is known.
     """
-    block, mounting = shown.block, shown.result.mounting
-    count = len(shown.images)
-    residual, sigma = np.full((2, count, 3), np.nan)
-    strip = np.zeros(count, dtype=np.int64)
-    place = np.array([shown.image_rows.get(name, -1) for name in block.images.names], dtype=np.int64)
-    rows = np.flatnonzero(place[block.positions.image] >= 0)
-    if not len(rows) or mounting is None or block.heads:
+    block, images = shown.block, shown.images
+    residual, sigma = np.full((2, len(images), 3), np.nan)
+    strip = np.zeros(len(images), dtype=np.int64)
+    observed = positions_at(block, shown.frame, images.names)
+    if shown.result.mounting is None or block.heads:
         return residual, sigma, strip
-    observed = local_positions(block.positions.rows(rows), shown.frame)
-    image = place[observed.image]
-    values = np.array([entry.value for entry in mounting.values()])
-    values[BORESIGHT] = np.radians(values[BORESIGHT])
-    poses = shown.images.rotation[image], shown.images.station[image]
-    each = replace(observed, image=np.arange(len(image)))
-    computed = antennas(each, body_to_camera(block.mounting, values), values, *poses)
-    residual[image] = computed - observed.values
-    sigma[image] = np.sqrt(np.diagonal(observed.covariance, axis1=1, axis2=2))
-    strip[image] = observed.strip
+    values = shown.result.common_values(block.mounting.values)
+    matrix = body_to_camera(block.mounting, values)
+    computed = antennas(observed, matrix, values, images.rotation, images.station)
+    residual[observed.image] = computed - observed.values
+    sigma[observed.image] = np.sqrt(np.diagonal(observed.covariance, axis1=1, axis2=2))
+    strip[observed.image] = observed.strip
     return residual, sigma, strip
 
 
@@ -158,8 +151,7 @@ def _points(shown: Shown) -> dict[str, Any]:
     """Control and check points: adjusted places, and adjusted minus surveyed coordinates."""
     points, surveyed = shown.result.points, shown.block.points
     rows = [k for k, role in enumerate(points.role) if role != "tie"]
-    given = {name: k for k, name in enumerate(surveyed.names)}
-    at = [given.get(points.names[k], -1) for k in rows]
+    at = [shown.surveyed.get(points.names[k], -1) for k in rows]
     values = points.values[rows]
     known = np.vstack([surveyed.values, np.full(3, np.nan)])[at]
     place, survey = shown.on_map(values), shown.on_map(np.nan_to_num(known))
