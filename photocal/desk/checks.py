@@ -6,10 +6,11 @@ from typing import Any
 
 from starlette.routing import BaseRoute
 
+from photocal.base.codec import kept_json
 from photocal.base.errors import PhotocalError
 from photocal.base.files import output_file
 from photocal.base.web import calling, doing, telling
-from photocal.desk.jobs import DEBRIEF, FOLDER, RUN, asked, kept
+from photocal.desk.jobs import DEBRIEF, FOLDER, RUN, asked
 from photocal.desk.project_file import with_field
 from photocal.desk.session import Desk
 from photocal.findings.texts import catalogue, finding_json, findings_of
@@ -43,7 +44,7 @@ def state(desk: Desk) -> dict[str, Any]:
 
 def checked(desk: Desk) -> dict[str, Any] | None:
     """What the last check has found."""
-    return kept(desk.folder / FOLDER / _KEPT) or None
+    return kept_json(desk.folder / FOLDER / _KEPT) or None
 
 
 def _doctor(desk: Desk) -> list[str | Path]:

@@ -13,13 +13,14 @@ from starlette.routing import BaseRoute
 
 from photocal.base.arrays import Floats
 from photocal.base.checked_toml import read_tables
+from photocal.base.codec import kept_json
 from photocal.base.errors import PhotocalError
 from photocal.base.files import output_file
 from photocal.base.web import calling, doing, finding, telling
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, ROLES
 from photocal.desk import project_file
-from photocal.desk.jobs import FOLDER, asked, kept
+from photocal.desk.jobs import FOLDER, asked
 from photocal.desk.session import Desk
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES, list_images
@@ -97,7 +98,7 @@ def project(desk: Desk) -> dict[str, Any]:
 
 def said(desk: Desk) -> dict[str, Any] | None:
     """What `photocal new` has said last."""
-    return kept(desk.folder / FOLDER / _SAID) or None
+    return kept_json(desk.folder / FOLDER / _SAID) or None
 
 
 def places(desk: Desk) -> dict[str, Any]:
