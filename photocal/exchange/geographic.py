@@ -20,10 +20,9 @@ from photocal.base.geodesy import GeodeticPlace, enu_axes, geocentric, geodetic
 from photocal.base.geopackage import LOCAL, Feature, Layer, add_layer, add_table, geopackage, wgs84
 from photocal.block.model import ROLES, Block
 from photocal.exchange.exporting import Choices, to_cartesian, to_wgs84
-from photocal.exchange.pinhole import to_vision
 from photocal.exchange.source import write_xml
 from photocal.geometry.conversion import Conversion
-from photocal.geometry.distortion import undistorted
+from photocal.geometry.oriented_images import OrientedImages
 
 # Turns local coordinates, shape (n, 3), into longitude, latitude, height.
 ToGeographic = Callable[[Floats], Floats]
@@ -84,20 +83,10 @@ def write_kml(path: Path, given: Block, choices: Choices) -> tuple[Conversion, .
 
 
 def footprints(given: Block, height_m: float) -> Floats:
-    """Corners of each image on a horizontal plane."""
-    rotation, _ = to_vision(given.images.values)
-    corners = np.full((len(given.images.values), 4, 3), np.nan)
-    for k, pose in enumerate(given.images.values):
-        camera = given.cameras[given.images.camera[k]]
-        half = np.array(camera.size_px) * camera.pitch / 2
-        edge = np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]]) * half
-        rays = undistorted(camera, edge) / camera.value("c") * [1.0, -1.0]
-        direction = np.column_stack([rays, np.ones(4)]) @ rotation[k]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            distance = (height_m - pose[5]) / direction[:, 2]
-        if (distance > 0).all() and np.isfinite(distance).all():
-            corners[k] = pose[3:] + distance[:, None] * direction
-    return corners
+    """Corners of each image on a horizontal plane, (n, 4, 3); NaN for one that looks beyond it."""
+    images = given.images
+    shots = OrientedImages(images.names, given.cameras, images.camera, images.values)
+    return shots.on_level(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), height_m)
 
 
 def features(

@@ -90,21 +90,14 @@ def _spread(covariance: Floats) -> dict[str, Any]:
 
 def footprints(shown: Shown) -> Floats:
     """Corners and side middles of each image on the middle height of the points, (n, 8, 2); NaN beyond."""
-    local = shown.images
-    level = _level(shown)
-    rays = local.directions(BORDER)
-    drop = (local.station[:, 2] - level)[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ground = local.station[:, None, :2] + rays[..., :2] / -rays[..., 2:] * drop[..., None]
+    local, level = shown.images, _level(shown)
+    places = local.on_level(BORDER, level)
+    away = np.linalg.norm(places[..., :2] - local.station[:, None, :2], axis=2)
     # Beyond so many heights an oblique image has no footprint worth drawing.
     farthest = 4.0
-    far = np.linalg.norm(ground - local.station[:, None, :2], axis=2) > farthest * np.abs(drop)
-    bad = (far | (rays[..., 2] >= 0)).any(axis=1) | ~np.isfinite(ground).all(axis=(1, 2))
-    places = np.concatenate([ground, np.full((*ground.shape[:2], 1), level)], axis=2)
-    places[bad] = np.nan
-    flat = np.nan_to_num(places.reshape(-1, 3))
-    given = shown.on_map(shown.frame.to_given(flat)).reshape(places.shape)
-    return np.where(bad[:, None, None], np.nan, given[..., :2])
+    near = (away <= farthest * (local.station[:, None, 2] - level)).all(axis=1)
+    given = shown.on_map(shown.frame.to_given(np.nan_to_num(places.reshape(-1, 3)))).reshape(places.shape)
+    return np.where(near[:, None, None], given[..., :2], np.nan)
 
 
 def _level(shown: Shown) -> float:
