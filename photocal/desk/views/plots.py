@@ -9,7 +9,7 @@ from scipy.special import ndtr
 
 from photocal.base.arrays import Floats
 from photocal.desk.views.shown import Shown, numbers
-from photocal.geometry.camera import Camera
+from photocal.geometry.camera import Camera, plane_to_pixel
 from photocal.report.sensor import SensorResiduals, farthest_corner, radial_profile, thinned, to_plane
 from photocal.results.plot import displacement
 
@@ -96,8 +96,7 @@ def _vectors(camera: Camera, rays: SensorResiduals) -> list[list[float]]:
 
 def _pixels(camera: Camera, plane: Floats) -> Floats:
     """Columns and rows of places in the image plane."""
-    half = (np.array(camera.size_px) - 1) / 2
-    return np.asarray(plane / np.array(camera.pitch) * [1.0, -1.0] + half)
+    return plane_to_pixel(camera.size_px, camera.pitch, plane)
 
 
 def _distortion(camera: Camera) -> dict[str, Any]:
