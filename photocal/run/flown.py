@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from photocal.accuracy.discrepancies import check_laser, laser_finding
+from photocal.accuracy.discrepancies import check_laser
 from photocal.accuracy.maps import reference_system
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, InputMalformedError
@@ -108,9 +108,7 @@ def measure_flown(
         hit, near = shots.station - lasers[:, None] * shots.rotation[:, 2], frame.to_local(points)
         if files.terrain is not None:
             near = _of_terrain(hit, model, frame, files.terrain, files.terrain_heights)
-        checked = check_laser(hit, lasers, near, _share_of_c(run))
-        found = laser_finding(checked, int(np.isfinite(lasers).sum()))
-        figures |= as_record([found])
+        figures |= as_record([check_laser(hit, lasers, near, _share_of_c(run))])
     figures |= {"control_by_strip": control, "held_by_positions": held_by_positions(model)}
     apart = None
     if run is not None:
