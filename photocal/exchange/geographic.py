@@ -198,8 +198,11 @@ _RESIDUALS = {
 }
 
 
-def write_geopackage(path: Path, given: Block, to_geographic: ToGeographic | None, choices: Choices) -> None:
-    """Write a GeoPackage; `to_geographic`: from `geographic.topocentric`; None keeps local coordinates."""
+def write_geopackage(path: Path, given: Block, choices: Choices) -> tuple[Conversion, ...]:
+    """Write a layer for each kind of thing; a local frame without an origin keeps its coordinates."""
+    to_geographic: ToGeographic | None = None
+    if choices.origin is not None or given.frame != "local":
+        given, to_geographic = located(given, choices)
     residuals_px, seen = choices.residuals_of(given), given.observations
     system = LOCAL if to_geographic is None else wgs84()
     layers: dict[str, tuple[Layer, list[Feature]]] = {
@@ -219,12 +222,4 @@ def write_geopackage(path: Path, given: Block, to_geographic: ToGeographic | Non
         for layer, layer_features in layers.values():
             add_layer(database, layer, system, layer_features, choices.changed_utc)
         add_table(database, "image_residuals", _RESIDUALS, rows, choices.changed_utc)
-
-
-def export_geopackage(folder: Path, given: Block, choices: Choices) -> tuple[Conversion, ...]:
-    """A layer for each kind of thing."""
-    turn: ToGeographic | None = None
-    if choices.origin is not None or given.frame != "local":
-        given, turn = located(given, choices)
-    write_geopackage(folder / "block.gpkg", given, turn, choices)
     return ()
