@@ -238,12 +238,11 @@ def _here(desk: Desk) -> Iterator[dict[str, str]]:
 def heights(desk: Desk) -> list[dict[str, str]]:
     """Systems of heights of the place of the pictures."""
     from photocal.geometry.systems import heights_at
+    from photocal.run.project_checks import middle_of
 
-    placed = [(one.latitude_deg, one.longitude_deg) for one in pictures(desk) if one.has_position]
-    if not placed:
-        return []
-    latitude, longitude = np.median(np.array(placed), axis=0)
-    return [{"code": code, "name": name} for code, name in heights_at(float(latitude), float(longitude))]
+    placed = [one for one in pictures(desk) if one.has_position]
+    known = heights_at(*middle_of(placed)) if placed else ()
+    return [{"code": code, "name": name} for code, name in known]
 
 
 def _set(
