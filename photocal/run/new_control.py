@@ -1,7 +1,7 @@
 """Control of a new project settled before any work: system, kind of heights, frame of the marks, slips."""
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -239,7 +239,9 @@ def _with_marks(
             made.refused += [say("new.mark_fraction", **_names(mark)) for mark in here.values()]
             here = {}
         else:
-            made.frame = _frame(made, found, useful=_useful(here.values()))
+            # Some point has marks in two pictures, so that it can have a place.
+            useful = max(Counter(mark.point for mark in here.values()).values()) > 1
+            made.frame = _frame(made, found, useful=useful)
     stored = made.frame.stored(list(here.values()), pictures)
     kept = tuple(mark for mark in stored if inside(mark, pictures[mark.image].size_px))
     made.refused += [
@@ -255,11 +257,6 @@ def _with_marks(
 
 def _names(mark: Mark) -> dict[str, object]:
     return {"place": mark.place, "point": mark.point, "image": mark.image}
-
-
-def _useful(marks: Iterable[Mark]) -> bool:
-    """Whether some point has marks in two pictures, so that it can have a place."""
-    return max(Counter(mark.point for mark in marks).values(), default=0) > 1
 
 
 def _frame(made: NewProject, choice: FrameChoice, *, useful: bool) -> MarkFrame:

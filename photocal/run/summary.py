@@ -61,14 +61,10 @@ def gather(work: Path, stages: Container[str] | None = None) -> tuple[Finding, .
             # The same search on the same block, which the check has told.
             found = (finding for finding in found if not searched(finding.code))
         add_new(listed, found, stage)
-        sought = sought or (stage == "georeferencing" and _has_sought(path))
+        # A check looked for causes, rather than had no hold for them.
+        sought |= stage == "georeferencing" and bool((read_json(path) or {}).get("systematic_errors"))
     ppk = work / "ppk" / PPK
     return causes_first(settled(listed), PpkFigures.read(ppk).fixed_percent if ppk.is_file() else 100.0)
-
-
-def _has_sought(path: Path) -> bool:
-    """Whether a check looked for causes, rather than had no hold for them."""
-    return bool((read_json(path) or {}).get("systematic_errors"))
 
 
 def add_new(listed: list[Finding], findings: Iterable[Finding], stage: str) -> None:

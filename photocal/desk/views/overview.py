@@ -51,7 +51,8 @@ def _images(shown: Shown) -> dict[str, Any]:
     images = shown.result.images
     count, rms = shown.result.residuals.rms()
     camera = [shown.result.cameras[images.cameras[k].id] for k in images.camera]
-    pitch = np.array([c.pitch for c in camera]).reshape(-1, 2) if _in_mm(shown) else 1.0
+    in_mm = shown.result.block.observation_unit == "mm"
+    pitch = np.array([c.pitch for c in camera]).reshape(-1, 2) if in_mm else 1.0
     place = shown.on_map(images.station)
     covariance = shown.covariance_on_map(images.station, images.covariances[:, 3:, 3:])
     residual, sigma, strip = position_residuals(shown)
@@ -70,10 +71,6 @@ def _images(shown: Shown) -> dict[str, Any]:
         "fix": _fixes(shown),
         **_spread(covariance),
     }
-
-
-def _in_mm(shown: Shown) -> bool:
-    return shown.result.block.observation_unit == "mm"
 
 
 def _spread(covariance: Floats) -> dict[str, Any]:
