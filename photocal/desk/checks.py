@@ -8,7 +8,7 @@ from starlette.routing import BaseRoute
 
 from photocal.base.codec import kept_json
 from photocal.base.errors import PhotocalError
-from photocal.base.files import output_file
+from photocal.base.files import write_file
 from photocal.base.web import calling, doing, telling
 from photocal.desk.jobs import DEBRIEF, FOLDER, RUN, asked
 from photocal.desk.project_file import with_field
@@ -67,8 +67,8 @@ def _check(desk: Desk) -> dict[str, Any]:
     except PhotocalError as refusal:
         content["problem"] = with_field(str(refusal).removeprefix(f"{desk.file}: "), desk.language)
     (desk.folder / FOLDER).mkdir(exist_ok=True)
-    with desk.lock, output_file(desk.folder / FOLDER / _KEPT) as aside:
-        aside.write_text(json.dumps(content), encoding="utf-8")
+    with desk.lock:
+        write_file(desk.folder / FOLDER / _KEPT, json.dumps(content))
     return state(desk)
 
 

@@ -15,7 +15,7 @@ from photocal.base.arrays import Floats
 from photocal.base.checked_toml import read_tables
 from photocal.base.codec import kept_json
 from photocal.base.errors import PhotocalError
-from photocal.base.files import output_file
+from photocal.base.files import write_file
 from photocal.base.web import calling, doing, finding, telling
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, ROLES
@@ -177,10 +177,9 @@ def _new(desk: Desk, crs: Short = "", height: Short = "", marks: Short = "") -> 
     with desk.lock:
         answer = asked(arguments)
         (desk.folder / FOLDER).mkdir(exist_ok=True)
-        with output_file(desk.folder / FOLDER / _SAID) as aside:
-            frames = before.get("frames", []) if marks else answer["frames"]
-            told = {"marks": marks, "line": desk.line(arguments), "language": desk.language}
-            aside.write_text(json.dumps({**answer, "frames": frames, **told}), encoding="utf-8")
+        frames = before.get("frames", []) if marks else answer["frames"]
+        told = {"marks": marks, "line": desk.line(arguments), "language": desk.language}
+        write_file(desk.folder / FOLDER / _SAID, json.dumps({**answer, "frames": frames, **told}))
     return project(desk)
 
 

@@ -19,7 +19,7 @@ from typing import Any
 
 from photocal.base.codec import kept_json
 from photocal.base.errors import ConfigurationError
-from photocal.base.files import output_file
+from photocal.base.files import write_file
 from photocal.base.operating_system import CHILD_FLAGS
 
 FOLDER = ".desk"
@@ -154,8 +154,7 @@ class Job:
         return told if {"pid", "began", "line"} <= told.keys() else {}
 
     def _note(self, told: Mapping[str, Any]) -> None:
-        with output_file(self._file("json")) as aside:
-            aside.write_text(json.dumps(told), encoding="utf-8")
+        write_file(self._file("json"), json.dumps(told))
 
     def _alive(self) -> bool:
         if self._process is not None:

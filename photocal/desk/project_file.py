@@ -12,7 +12,7 @@ import tomlkit
 from photocal.base.checked_toml import checked_tables, parse_toml
 from photocal.base.codec import toml_document
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
-from photocal.base.files import output_file
+from photocal.base.files import rows_text, write_file
 from photocal.block.model import ROLES
 from photocal.findings.texts import catalogue
 from photocal.project import ASKED, Contents
@@ -111,8 +111,7 @@ def put(path: Path, key: str, value: Any) -> None:
     _with_local(table, name, value)
     text = tomlkit.dumps(document)
     _refuse(text, path, name)
-    with output_file(path) as aside:
-        aside.write_text(text, encoding="utf-8", newline="\n")
+    write_file(path, text)
 
 
 def _with_local(table: Any, name: str, value: Any) -> None:
@@ -181,5 +180,4 @@ def put_role(path: Path, point: str, role: str) -> None:
         raise InputNotFoundError(f"has no point {point}", "choose one of the list", where=path)
     for row in found:
         row[kind] = role
-    with output_file(path) as aside, aside.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows(rows)
+    write_file(path, rows_text(rows[0], rows[1:]))
