@@ -33,6 +33,7 @@ from photocal.products.raster import describe, terrain_source
 from photocal.project import Project
 from photocal.report.derived_figures import NADIR_DEG
 from photocal.results.folder import read_result
+from photocal.results.result import common_values
 from photocal.run.stage import Stage, pictures_of
 
 
@@ -112,7 +113,7 @@ def measure_flown(
     figures |= {"control_by_strip": control, "held_by_positions": held_by_positions(model)}
     apart = None
     if run is not None:
-        common = read_result(run).common_values(model.mounting.values)
+        common = common_values(read_result(run).mounting, model.mounting.values)
         observed = positions_at(model, frame, shots.names)
         apart = position_differences(shots, observed, model.mounting, common)
         if apart is not None:

@@ -25,6 +25,7 @@ from photocal.findings.verdict import VerdictLine, alike_findings, every_line, h
 from photocal.geometry.camera import PARAMETERS
 from photocal.navigation.exposures import Exposures
 from photocal.planning.flown import BORDER, GroundCells, cells_seen, level_ground
+from photocal.results.result import common_values
 from photocal.run.exposures import EXPOSURES
 from photocal.run.summary import project_findings, project_verdict
 
@@ -114,7 +115,7 @@ def position_residuals(shown: Shown) -> tuple[Floats, Floats, Integers]:
     observed = positions_at(block, shown.frame, images.names)
     if shown.result.mounting is None or block.heads:
         return residual, sigma, strip
-    values = shown.result.common_values(block.mounting.values)
+    values = common_values(shown.result.mounting, block.mounting.values)
     matrix = body_to_camera(block.mounting, values)
     computed = antennas(observed, matrix, values, images.rotation, images.station)
     residual[observed.image] = computed - observed.values
@@ -293,11 +294,8 @@ def _names(finding: Finding) -> Iterator[tuple[str, str]]:
     """What a finding names, with the key of the figure; none for its subject."""
     yield "", finding.subject
     for key, value in finding.figures.items():
-        yield from ((key, str(each)) for each in ([value] if isinstance(value, str) else _listed(value)))
-
-
-def _listed(value: Any) -> Iterable[Any]:
-    return value if isinstance(value, tuple | list) else ()
+        named = (value,) if isinstance(value, str) else value if isinstance(value, tuple | list) else ()
+        yield from ((key, str(each)) for each in named)
 
 
 def _is_point(name: str, shown: Shown) -> bool:
