@@ -166,48 +166,27 @@ SMOOTH_M, FEWEST_SHOTS = 0.05, 8
 _HUBER, ELSEWHERE = 1.5, 4.0
 
 
-@dataclass(frozen=True)
-class LaserCheck:
-    """What laser distances say of an adjusted surface.
-
-    bias_m, sigma_m: height of the surface less that of the laser, and its standard deviation with what all
-        distances have in common: the error of the laser, and that of c.
-    spread_m: of single differences, robust; elsewhere: shots that hit something else (gaps of a canopy).
-    scale, scale_sigma: change of the difference with distance; NaN where distances are alike.
-    lonely: shots without tie points near enough.
-    """
-
-    shots: int
-    bias_m: float
-    sigma_m: float
-    spread_m: float
-    elsewhere: int
-    scale: float
-    scale_sigma: float
-    lonely: int
-
-    @property
-    def biased(self) -> bool:
-        """Whether the surface lies beside the laser by more than both explain."""
-        return abs(self.bias_m) > policy.times_999 * self.sigma_m
-
-
-def check_laser(
-    target: Floats, distance_m: Floats, points: Floats, c_share: float = 0.0
-) -> LaserCheck | None:
-    """Hold laser targets against the surface of tie points (m, 3) there; None with too few of them.
+def check_laser(target: Floats, distance_m: Floats, points: Floats, c_share: float = 0.0) -> Finding:
+    """Hold laser targets against the surface of tie points (m, 3) there, as a check beside check points.
 
     target (n, 3), distance_m (n,): what each laser hit, in a frame whose third axis is up, and how far away.
     c_share: standard deviation of the principal distance over it: distances to the ground go with it.
+    returns: untested with too few of them. Its figures: n shots, of which elsewhere hit something else (gaps
+        of a canopy); lonely ones without tie points near enough; bias_m, the height of the surface less that
+        of the laser; sigma_m, its standard deviation with what all distances have in common, the error of the
+        laser and that of c; spread_m of single differences, robust; scale, the change of the difference with
+        distance, and its scale_sigma: NaN where distances are alike.
     """
+    counted = {"n": float(np.isfinite(distance_m).sum()), "needed": float(FEWEST_SHOTS)}
+    few = untested(CODE, "few-laser-shots", counted)
     known = np.isfinite(target).all(axis=1)
     target, distance, ties = target[known], distance_m[known], points[np.isfinite(points).all(axis=1)]
     if len(target) < FEWEST_SHOTS or len(ties) < NEIGHBOURS:
-        return None
+        return few
     height, rough, dense = _surface(target[:, :2], ties, DENSE * distance)
     difference, sigma, distance = height[dense] - target[dense, 2], rough[dense], distance[dense]
     if len(difference) < FEWEST_SHOTS:
-        return None
+        return few
     design = np.ones((len(difference), 1))
     (bias,), (formal,), spread, far = _robust(design, difference, sigma)
     # What passes through a canopy is farther away, which would look like a scale.
@@ -219,10 +198,16 @@ def check_laser(
     if design.shape[1] > 1:
         (_, scale), (_, scale_sigma), _, _ = _robust(design, difference, sigma)
         scale_sigma = float(np.hypot(scale_sigma, np.hypot(LASER_SHARE, c_share)))
-    return LaserCheck(
-        int(dense.sum()), float(bias), float(np.hypot(formal, common)), spread, int(far.sum()),
-        float(scale), float(scale_sigma), int((~dense).sum()),
-    )  # fmt: skip
+    figures = {
+        "n": float(dense.sum()), "bias_m": float(bias), "sigma_m": float(np.hypot(formal, common)),
+        "spread_m": spread, "elsewhere": float(far.sum()), "lonely": float((~dense).sum()),
+        "scale": float(scale), "scale_sigma": float(scale_sigma),
+    }  # fmt: skip
+    clauses: tuple[str, ...] = ("laser-elsewhere",) if far.any() else ()
+    clauses += ("laser-scale",) if np.isfinite(scale) else ()
+    if abs(figures["bias_m"]) > policy.times_999 * figures["sigma_m"]:
+        return Finding(CODE, "doubtful", figures=figures, clauses=("laser-beside", *clauses))
+    return Finding(CODE, "note", figures=figures, clauses=clauses)
 
 
 def _with_scale(distance: Floats) -> Floats:
@@ -277,19 +262,3 @@ def _robust(design: Floats, values: Floats, sigma: Floats) -> tuple[Floats, Floa
     # Efficiency of Huber's weights with normal errors.
     deviation = max(factor, 1.0) * np.sqrt(np.diag(np.linalg.inv(normal))) * 1.05
     return estimates, deviation, spread, np.abs(rest / sigma) > ELSEWHERE * max(factor, 1.0)
-
-
-def laser_finding(check: LaserCheck | None, shots: int) -> Finding:
-    """Say what the laser says, as a check beside check points."""
-    if check is None:
-        return untested(CODE, "few-laser-shots", {"n": float(shots), "needed": float(FEWEST_SHOTS)})
-    figures = {
-        "n": float(check.shots), "bias_m": check.bias_m, "sigma_m": check.sigma_m, "spread_m": check.spread_m,
-        "elsewhere": float(check.elsewhere), "lonely": float(check.lonely),
-        "scale": check.scale, "scale_sigma": check.scale_sigma,
-    }  # fmt: skip
-    clauses: tuple[str, ...] = ("laser-elsewhere",) if check.elsewhere else ()
-    clauses += ("laser-scale",) if np.isfinite(check.scale) else ()
-    if check.biased:
-        return Finding(CODE, "doubtful", figures=figures, clauses=("laser-beside", *clauses))
-    return Finding(CODE, "note", figures=figures, clauses=clauses)

@@ -1,17 +1,17 @@
 """Mistakes in tables of ground points that an adjustment cannot tell from bad measurements.
 
-Every function takes plain arrays and gives findings; none changes anything. They can be used before an
+Every function takes points or arrays and gives findings; none changes anything. They can be used before an
 adjustment (against the positions of the exposures) and after it (against the coordinates that the block gives
 the same points).
 """
 
 import math
 from collections import Counter
-from dataclasses import dataclass
 
 import numpy as np
 
 from photocal.base.arrays import Floats
+from photocal.block.model import ObjectPoints
 from photocal.findings.finding import Figure, Finding
 
 # One foot in metres: international; the U.S. survey foot differs in the sixth digit.
@@ -20,18 +20,7 @@ FOOT_M = 0.3048
 _NEAR_M = 50_000.0
 
 
-@dataclass(frozen=True)
-class GroundPoints:
-    """Ground points of one role, in one coordinate system.
-
-    xyz_m (n, 3): coordinates, m; NaN where not given.
-    """
-
-    names: tuple[str, ...]
-    xyz_m: Floats
-
-
-def check_points_used_as_control(control: GroundPoints, check: GroundPoints) -> tuple[Finding, ...]:
+def check_points_used_as_control(control: ObjectPoints, check: ObjectPoints) -> tuple[Finding, ...]:
     """Find check points that are control points, by name or by place."""
     listed = []
     both = sorted(set(control.names) & set(check.names))
@@ -39,8 +28,8 @@ def check_points_used_as_control(control: GroundPoints, check: GroundPoints) -> 
         listed.append(Finding("check-as-control", "doubtful", "check", {"points": tuple(both)}))
     # Points closer than this are the same mark under two names.
     same_point_m = 0.005
-    for name, place in zip(check.names, check.xyz_m, strict=True):
-        distance = np.sqrt(np.sum((control.xyz_m - place) ** 2, axis=1))
+    for name, place in zip(check.names, check.values, strict=True):
+        distance = np.sqrt(np.sum((control.values - place) ** 2, axis=1))
         listed += [
             Finding("check-at-control", "doubtful", name, {"other": other, "apart_mm": apart * 1000.0})
             for other, apart in zip(control.names, distance.tolist(), strict=True)
@@ -49,9 +38,9 @@ def check_points_used_as_control(control: GroundPoints, check: GroundPoints) -> 
     return tuple(listed)
 
 
-def heights_all_equal(points: GroundPoints, role: str) -> tuple[Finding, ...]:
+def heights_all_equal(points: ObjectPoints, role: str) -> tuple[Finding, ...]:
     """Find a table whose heights are all zero, or all the same."""
-    heights = points.xyz_m[:, 2]
+    heights = points.values[:, 2]
     heights = heights[np.isfinite(heights)]
     if len(heights) < 3 or float(np.ptp(heights)) > 0.0:
         return ()
@@ -96,7 +85,7 @@ def latitude_longitude_swapped(
     return (Finding(code, "grave", figures=figures, cause="near-when-swapped"),)
 
 
-def feet_for_metres(points: GroundPoints, block: GroundPoints) -> tuple[Finding, ...]:
+def feet_for_metres(points: ObjectPoints, block: ObjectPoints) -> tuple[Finding, ...]:
     """Find coordinates or heights in feet among metres, or the reverse."""
     row = {name: index for index, name in enumerate(block.names)}
     common = [(index, row[name]) for index, name in enumerate(points.names) if name in row]
@@ -107,7 +96,7 @@ def feet_for_metres(points: GroundPoints, block: GroundPoints) -> tuple[Finding,
     # Ratios of distances are compared to this: control points agree far better, mistakes are far off.
     ratio_tolerance = 0.02
     for code, columns in (("feet-for-metres-plane", [0, 1]), ("feet-for-metres-height", [2])):
-        ratio = _distance_ratio(points.xyz_m[ours][:, columns], block.xyz_m[theirs][:, columns])
+        ratio = _distance_ratio(points.values[ours][:, columns], block.values[theirs][:, columns])
         if ratio is None:
             continue
         for factor, cause in ((1.0 / FOOT_M, "distances-in-feet"), (FOOT_M, "distances-in-metres")):
@@ -117,10 +106,10 @@ def feet_for_metres(points: GroundPoints, block: GroundPoints) -> tuple[Finding,
 
 
 def wrong_utm_zone(
-    points: GroundPoints, zone: int, *, southern: bool, exposures_deg: Floats
+    points: ObjectPoints, zone: int, *, southern: bool, exposures_deg: Floats
 ) -> tuple[Finding, ...]:
     """Find coordinates that were given the wrong UTM zone or hemisphere."""
-    centre = np.nanmean(points.xyz_m[:, :2], axis=0)
+    centre = np.nanmean(points.values[:, :2], axis=0)
     first = float(exposures_deg[0, 1])
     latitude = float(np.mean(exposures_deg[:, 0]))
     # About the first one: a flight over the date line has longitudes near 180 and near -180.

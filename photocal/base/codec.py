@@ -91,6 +91,15 @@ def _line(value: Any) -> Any:
     return tomlkit.item(value.item() if isinstance(value, np.generic) else value)
 
 
+def kept_json(path: Path) -> dict[str, Any]:
+    """What an earlier run or window kept as JSON; nothing where it is not there or damaged."""
+    try:
+        content = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
 def parsed_json(path: Path, remedy: str) -> Any:
     """Read a file of JSON: what it holds, for `from_plain`.
 

@@ -1,5 +1,6 @@
 """From a block to the network that is adjusted: units, axes, origin, start values, and what is missing."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -283,6 +284,15 @@ def local_positions(positions: Positions, frame: LocalFrame) -> Positions:
     velocity = np.einsum("nab,nb->na", turn, positions.velocity)
     local = frame.to_local(positions.values)
     return replace(positions, values=local, covariance=covariance, velocity=velocity)
+
+
+def positions_at(block: Block, frame: LocalFrame, names: Sequence[str]) -> Positions:
+    """Give the observed positions of those of these images that have one, in the local frame."""
+    place = {name: k for k, name in enumerate(names)}
+    image = np.array([place.get(name, -1) for name in block.images.names], dtype=np.int64)
+    rows = np.flatnonzero(image[block.positions.image] >= 0)
+    observed = local_positions(block.positions.rows(rows), frame)
+    return replace(observed, image=image[observed.image])
 
 
 def _known_directions(weight: Floats, held: Flags) -> Floats:

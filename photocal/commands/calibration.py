@@ -130,7 +130,7 @@ def analyse(
     from photocal.exchange.formats import read_any_block
     from photocal.findings.document import text
     from photocal.findings.texts import catalogue, spoken
-    from photocal.findings.verdict import Known, judge, verdict_json, verdict_section
+    from photocal.findings.verdict import judge, verdict_json, verdict_section
     from photocal.report.analysis_sections import analysed, calibrated
     from photocal.report.analysis_sections import published as of_published
     from photocal.report.certificate import overall
@@ -159,9 +159,9 @@ def analyse(
         block = read_any_block(source)
         with progress("adjusting again", 1.0) as advance:
             outcome = analyse_block(block, None, *levels, advance, analysis.bootstrap)
-        calibrated_one = any(camera.free for camera in block.cameras)
-        of_block = Known(len(block.images.names), block.datum != "free", calibrated_one)
-        found = judge(outcome.findings, of_block)
+        placed, estimated = block.datum != "free", any(camera.free for camera in block.cameras)
+        images = len(block.images.names)
+        found = judge(outcome.findings, images, placed=placed, calibrated=estimated)
         answer(
             as_json,
             lambda: {**analysis_record(outcome, stored), "verdict": verdict_json(found, stored)},

@@ -6,10 +6,11 @@ from typing import Any
 
 from starlette.routing import BaseRoute
 
+from photocal.base.codec import kept_json
 from photocal.base.errors import PhotocalError
-from photocal.base.files import output_file
+from photocal.base.files import write_file
 from photocal.base.web import calling, doing, telling
-from photocal.desk.jobs import DEBRIEF, FOLDER, RUN, asked, kept
+from photocal.desk.jobs import DEBRIEF, FOLDER, RUN, asked
 from photocal.desk.project_file import with_field
 from photocal.desk.session import Desk
 from photocal.findings.texts import catalogue, finding_json, findings_of
@@ -43,7 +44,7 @@ def state(desk: Desk) -> dict[str, Any]:
 
 def checked(desk: Desk) -> dict[str, Any] | None:
     """What the last check has found."""
-    return kept(desk.folder / FOLDER / _KEPT) or None
+    return kept_json(desk.folder / FOLDER / _KEPT) or None
 
 
 def _doctor(desk: Desk) -> list[str | Path]:
@@ -66,8 +67,8 @@ def _check(desk: Desk) -> dict[str, Any]:
     except PhotocalError as refusal:
         content["problem"] = with_field(str(refusal).removeprefix(f"{desk.file}: "), desk.language)
     (desk.folder / FOLDER).mkdir(exist_ok=True)
-    with desk.lock, output_file(desk.folder / FOLDER / _KEPT) as aside:
-        aside.write_text(json.dumps(content), encoding="utf-8")
+    with desk.lock:
+        write_file(desk.folder / FOLDER / _KEPT, json.dumps(content))
     return state(desk)
 
 

@@ -13,13 +13,14 @@ from starlette.routing import BaseRoute
 
 from photocal.base.arrays import Floats
 from photocal.base.checked_toml import read_tables
+from photocal.base.codec import kept_json
 from photocal.base.errors import PhotocalError
-from photocal.base.files import output_file
+from photocal.base.files import write_file
 from photocal.base.web import calling, doing, finding, telling
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, ROLES
 from photocal.desk import project_file
-from photocal.desk.jobs import FOLDER, asked, kept
+from photocal.desk.jobs import FOLDER, asked
 from photocal.desk.session import Desk
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES, list_images
@@ -97,7 +98,7 @@ def project(desk: Desk) -> dict[str, Any]:
 
 def said(desk: Desk) -> dict[str, Any] | None:
     """What `photocal new` has said last."""
-    return kept(desk.folder / FOLDER / _SAID) or None
+    return kept_json(desk.folder / FOLDER / _SAID) or None
 
 
 def places(desk: Desk) -> dict[str, Any]:
@@ -176,10 +177,9 @@ def _new(desk: Desk, crs: Short = "", height: Short = "", marks: Short = "") -> 
     with desk.lock:
         answer = asked(arguments)
         (desk.folder / FOLDER).mkdir(exist_ok=True)
-        with output_file(desk.folder / FOLDER / _SAID) as aside:
-            frames = before.get("frames", []) if marks else answer["frames"]
-            told = {"marks": marks, "line": desk.line(arguments), "language": desk.language}
-            aside.write_text(json.dumps({**answer, "frames": frames, **told}), encoding="utf-8")
+        frames = before.get("frames", []) if marks else answer["frames"]
+        told = {"marks": marks, "line": desk.line(arguments), "language": desk.language}
+        write_file(desk.folder / FOLDER / _SAID, json.dumps({**answer, "frames": frames, **told}))
     return project(desk)
 
 
@@ -237,12 +237,11 @@ def _here(desk: Desk) -> Iterator[dict[str, str]]:
 def heights(desk: Desk) -> list[dict[str, str]]:
     """Systems of heights of the place of the pictures."""
     from photocal.geometry.systems import heights_at
+    from photocal.run.project_checks import middle_of
 
-    placed = [(one.latitude_deg, one.longitude_deg) for one in pictures(desk) if one.has_position]
-    if not placed:
-        return []
-    latitude, longitude = np.median(np.array(placed), axis=0)
-    return [{"code": code, "name": name} for code, name in heights_at(float(latitude), float(longitude))]
+    placed = [one for one in pictures(desk) if one.has_position]
+    known = heights_at(*middle_of(placed)) if placed else ()
+    return [{"code": code, "name": name} for code, name in known]
 
 
 def _set(

@@ -17,8 +17,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from photocal.base.codec import kept_json
 from photocal.base.errors import ConfigurationError
-from photocal.base.files import output_file
+from photocal.base.files import write_file
 from photocal.base.operating_system import CHILD_FLAGS
 
 FOLDER = ".desk"
@@ -59,14 +60,6 @@ def error_of(log: str) -> str:
     if "Traceback (most recent call last)" in log:
         return lines[-1]
     return ""
-
-
-def kept(path: Path) -> dict[str, Any]:
-    """What was kept in a file as JSON; empty where nothing can be read."""
-    with contextlib.suppress(OSError, ValueError):
-        content = json.loads(path.read_bytes())
-        return content if isinstance(content, dict) else {}
-    return {}
 
 
 class Job:
@@ -157,12 +150,11 @@ class Job:
         return self._folder / f"{self._name}.{kind}"
 
     def _told(self) -> dict[str, Any]:
-        told = kept(self._file("json"))
+        told = kept_json(self._file("json"))
         return told if {"pid", "began", "line"} <= told.keys() else {}
 
     def _note(self, told: Mapping[str, Any]) -> None:
-        with output_file(self._file("json")) as aside:
-            aside.write_text(json.dumps(told), encoding="utf-8")
+        write_file(self._file("json"), json.dumps(told))
 
     def _alive(self) -> bool:
         if self._process is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -48,31 +48,19 @@ def routes(desk: Desk, pictures: Pictures) -> list[BaseRoute]:
         made = await run_in_threadpool(lambda: look().ground(**request.path_params))
         return Response(made, media_type="image/png")
 
-    def told(path: str, tell: Callable[[Look], Any]) -> Route:
-        """Return a route that answers with what the service tells."""
-        return telling(path, lambda: tell(look()))
-
-    def found(path: str, find: Callable[[Look, dict[str, str]], Any]) -> Route:
-        """Return a route that answers what stands in its query."""
-        return finding(path, lambda asked: find(look(), asked))
-
-    def done(path: str, do: Callable[[Look, bytes], Any]) -> Route:
-        """Return a route that hands the body of a request to the service."""
-        return doing(path, lambda body: do(look(), body))
-
     threading.Thread(target=lambda: look().warm(), daemon=True).start()
     return [
-        told("/api/look", lambda here: here.overview()),
-        found("/api/look/findings", lambda here, asked: here.findings(asked)),
-        found("/api/look/picture", lambda here, asked: here.picture(asked)),
-        found("/api/look/point", lambda here, asked: here.point(asked)),
-        told("/api/look/plots", lambda here: here.plots()),
-        told("/api/look/tie-names", lambda here: here.tie_names()),
-        told("/api/look/overlap", lambda here: here.overlap()[0]),
+        telling("/api/look", lambda: look().overview()),
+        finding("/api/look/findings", lambda asked: look().findings(asked)),
+        finding("/api/look/picture", lambda asked: look().picture(asked)),
+        finding("/api/look/point", lambda asked: look().point(asked)),
+        telling("/api/look/plots", lambda: look().plots()),
+        telling("/api/look/tie-names", lambda: look().tie_names()),
+        telling("/api/look/overlap", lambda: look().overlap()[0]),
         arrays("/api/look/overlap.bin", lambda: look().overlap()[1]),
         arrays("/api/look/ties.bin", lambda: look().ties()),
         Route("/api/look/ground/{level:int}/{column:int}/{row:int}", ground),
-        told("/api/look/left-out", lambda here: here.left_out()),
-        done("/api/look/leave-out", lambda here, body: here.leave_out(body)),
-        done("/api/look/take-back", lambda here, body: here.take_back(body)),
+        telling("/api/look/left-out", lambda: look().left_out()),
+        doing("/api/look/leave-out", lambda body: look().leave_out(body)),
+        doing("/api/look/take-back", lambda body: look().take_back(body)),
     ]

@@ -4,7 +4,6 @@ import csv
 import io
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import tomlkit
 from photocal.base.checked_toml import checked_tables, parse_toml
 from photocal.base.codec import toml_document
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
-from photocal.base.files import output_file
+from photocal.base.files import rows_text, write_file
 from photocal.block.model import ROLES
 from photocal.findings.texts import catalogue
 from photocal.project import ASKED, Contents
@@ -22,30 +21,19 @@ from photocal.project import ASKED, Contents
 MOST_POINTS = 2000
 
 
-@dataclass(frozen=True)
-class FormField:
-    """One key of the project file in the form.
-
-    kind: text, system, choice, or triple of numbers.
-    """
-
-    key: str
-    kind: str
-    choices: tuple[str, ...] = ()
-
-
-FIELDS = (
-    FormField("project.name", "text"),
-    FormField("project.crs", "system"),
-    FormField("project.height", "height", ("ellipsoidal", "orthometric", "local")),
-    FormField("images.lens", "choice", ("unknown", "given")),
-    FormField("images.position_sigma_m", "triple"),
-    FormField("rig.camera_to_antenna_m", "triple"),
-    FormField("flight.base_position", "triple"),
-    FormField("certificate.client", "text"),
-    FormField("certificate.operator", "text"),
-    FormField("certificate.language", "choice", ("en", "pt-BR")),
-)
+# Keys of the project file in the form: their kind, and what is to be chosen from.
+FIELDS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "project.name": ("text", ()),
+    "project.crs": ("system", ()),
+    "project.height": ("height", ("ellipsoidal", "orthometric", "local")),
+    "images.lens": ("choice", ("unknown", "given")),
+    "images.position_sigma_m": ("triple", ()),
+    "rig.camera_to_antenna_m": ("triple", ()),
+    "flight.base_position": ("triple", ()),
+    "certificate.client": ("text", ()),
+    "certificate.operator": ("text", ()),
+    "certificate.language": ("choice", ("en", "pt-BR")),
+}
 # Which words of an error, in either language, belong to which field, the surer ones first.
 _MENDS = (
     ("project.height", r"\bheight =|heights? (?:are|is|of the kind)|\bheight\b.*(?:filled in|ellipsoidal)"),
@@ -86,17 +74,17 @@ def shown(path: Path, language: str = "en") -> dict[str, Any]:
 
 
 def _fields(document: Any) -> Iterator[dict[str, Any]]:
-    for field in FIELDS:
-        section, key = field.key.split(".")
+    for name, (kind, choices) in FIELDS.items():
+        section, key = name.split(".")
         if section not in document and section != "certificate":
             continue
         item = document.get(section, {}).get(key)
         value = None if item is None else item.unwrap() if hasattr(item, "unwrap") else item
         comment = "" if item is None or not hasattr(item, "trivia") else item.trivia.comment.lstrip("# ")
         yield {
-            "key": field.key,
-            "kind": field.kind,
-            "choices": list(field.choices),
+            "key": name,
+            "kind": kind,
+            "choices": list(choices),
             "value": "" if value == ASKED else value,
             "asked": value == ASKED,
             "comment": comment,
@@ -108,8 +96,7 @@ def put(path: Path, key: str, value: Any) -> None:
 
     raises ConfigurationError: for a key that is none of the form, and for an impossible value.
     """
-    field = next((one for one in FIELDS if one.key == key), None)
-    if field is None and key != "certificate.particulars":
+    if key not in FIELDS and key != "certificate.particulars":
         raise ConfigurationError(f"{key} is not a field of the form", "edit the file", where=path)
     document, (section, name) = toml_document(path), key.split(".")
     if section not in document:
@@ -124,8 +111,7 @@ def put(path: Path, key: str, value: Any) -> None:
     _with_local(table, name, value)
     text = tomlkit.dumps(document)
     _refuse(text, path, name)
-    with output_file(path) as aside:
-        aside.write_text(text, encoding="utf-8", newline="\n")
+    write_file(path, text)
 
 
 def _with_local(table: Any, name: str, value: Any) -> None:
@@ -194,5 +180,4 @@ def put_role(path: Path, point: str, role: str) -> None:
         raise InputNotFoundError(f"has no point {point}", "choose one of the list", where=path)
     for row in found:
         row[kind] = role
-    with output_file(path) as aside, aside.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows(rows)
+    write_file(path, rows_text(rows[0], rows[1:]))

@@ -8,10 +8,11 @@ from typing import Annotated, Any
 from pydantic import Field
 from starlette.routing import BaseRoute
 
+from photocal.base.codec import kept_json
 from photocal.base.errors import PhotocalError
 from photocal.base.web import calling, doing, telling
 from photocal.desk.certificate import issued_as
-from photocal.desk.jobs import DEBRIEF, RUN, kept
+from photocal.desk.jobs import DEBRIEF, RUN
 from photocal.desk.project_file import with_field
 from photocal.desk.session import Desk
 from photocal.project import Project
@@ -49,7 +50,7 @@ def state(desk: Desk) -> dict[str, Any]:
     except (PhotocalError, OSError) as refusal:
         return {**told, "error": told["error"] or with_field(str(refusal), desk.language)}
     work = project.output
-    progress = kept(work / PROGRESS) if job["state"] == "busy" else {}
+    progress = kept_json(work / PROGRESS) if job["state"] == "busy" else {}
     names = [stage.name for stage in listed]
     said = told_stages(desk.job(RUN).log(), names) if job["state"] != "none" else {}
     issued = issued_as(work / "certificate", desk.language)
@@ -67,7 +68,7 @@ def _stages(
     """Each stage: made, kept, at work or to come; and its time by the record."""
     found = []
     for name in names:
-        record = kept(made_in(work) / name / RECORD)
+        record = kept_json(made_in(work) / name / RECORD)
         seconds = record.get("seconds")
         now = said.get(name, "")
         state = now or ("there" if record else "none")

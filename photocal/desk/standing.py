@@ -4,8 +4,8 @@ The window: its page, its libraries, and the answers of each step.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from starlette.applications import Starlette
@@ -111,13 +111,16 @@ def marking_application(scene: Scene, store: MarkStore, cache: Path) -> Starlett
     told = here | {"steps": {"mark": _as("none", "")}, "line": ""}
     return _served(
         lambda: told,
-        _Reader(),
+        # Who reads a page that has no project.
+        SimpleNamespace(language="en"),
         *marking.routes(lambda: service, service.project),
         tiles.route(lambda: scene.pictures, cache, lambda: True),
     )
 
 
-def _served(told: Callable[[], dict[str, Any]], reader: "Desk | _Reader", *answers: BaseRoute) -> Starlette:
+def _served(
+    told: Callable[[], dict[str, Any]], reader: Desk | SimpleNamespace, *answers: BaseRoute
+) -> Starlette:
     """The page, its libraries, how it stands, and what answers it."""
     return Starlette(
         routes=[
@@ -131,13 +134,6 @@ def _served(told: Callable[[], dict[str, Any]], reader: "Desk | _Reader", *answe
     )
 
 
-@dataclass
-class _Reader:
-    """Who reads a page that has no project."""
-
-    language: str = "en"
-
-
-def _speak(reader: Desk | _Reader, language: str) -> dict[str, str]:
+def _speak(reader: Desk | SimpleNamespace, language: str) -> dict[str, str]:
     reader.language = catalogue(language).language
     return {"language": reader.language}

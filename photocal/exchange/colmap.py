@@ -55,6 +55,8 @@ LARGEST_KEY = 1 << 62
 NO_POINT = -1
 # Number, place, reprojection error and track of a point.
 Point = tuple[int, Sequence[float], float, Integers]
+# Number, model, size in px and parameters of a camera.
+Lens = tuple[int, str, tuple[int, int], tuple[float, ...]]
 _MARK = np.dtype([("xy", "<f8", 2), ("key", "<i8")])
 FILES = ("cameras", "images", "points3D")
 
@@ -65,16 +67,6 @@ _OTHERS: dict[Model, tuple[str, ...]] = {
 }
 # Which of our parameters each of COLMAP's makes free.
 _FREES = {f"k{n}": (f"K{n}",) for n in range(1, 7)} | {"p1": ("P1", "P2"), "fx": ("B1",)}
-
-
-@dataclass(frozen=True)
-class Lens:
-    """One camera."""
-
-    key: int
-    model: str
-    size_px: tuple[int, int]
-    parameters: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -272,7 +264,7 @@ def _lenses(source: _Source) -> Iterator[Lens]:
         (key,) = source.take("I")
         name, (width, height) = source.model()
         size = image_size(width, height, source.place)
-        yield Lens(key, name, size, source.parameters(len(MODELS[NUMBERS[name]][1])))
+        yield key, name, size, source.parameters(len(MODELS[NUMBERS[name]][1]))
 
 
 def _shots(source: _Source) -> Iterator[Shot]:
@@ -316,9 +308,9 @@ def write_binary_model(
     """Write the three binary files of a model."""
     with (folder / "cameras.bin").open("wb") as out:
         out.write(struct.pack("<Q", len(lenses)))
-        for lens in lenses:
-            layout = f"<IiQQ{len(lens.parameters)}d"
-            out.write(struct.pack(layout, lens.key, NUMBERS[lens.model], *lens.size_px, *lens.parameters))
+        for key, model, size_px, parameters in lenses:
+            layout = f"<IiQQ{len(parameters)}d"
+            out.write(struct.pack(layout, key, NUMBERS[model], *size_px, *parameters))
     with (folder / "images.bin").open("wb") as out:
         out.write(struct.pack("<Q", len(shots)))
         for shot in shots:
@@ -341,9 +333,8 @@ def write_text_model(
     require_no_blanks((shot.name for shot in shots), "export the binary form, or rename it")
     with (folder / "cameras.txt").open("w", encoding="utf-8", newline="\n") as out:
         out.write("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n")
-        for lens in lenses:
-            width, height = lens.size_px
-            out.write(f"{lens.key} {lens.model} {width} {height} {digits(lens.parameters)}\n")
+        for key, model, (width, height), parameters in lenses:
+            out.write(f"{key} {model} {width} {height} {digits(parameters)}\n")
     with (folder / "images.txt").open("w", encoding="utf-8", newline="\n") as out:
         out.write(
             "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as X, Y, POINT3D_ID\n"
@@ -372,7 +363,7 @@ def read_colmap(folder: Path) -> Block:
     files = [folder / f"{name}.{suffix}" for name in FILES]
     lenses, shots = list(_lenses(opened(files[0]))), list(_shots(opened(files[1])))
     points = list(_points(opened(files[2])))
-    cameras = {lens.key: _camera(lens, folder) for lens in lenses}
+    cameras = {lens[0]: _camera(lens, folder) for lens in lenses}
     order = {key: k for k, key in enumerate(cameras)}
     position = {key: k for k, (key, _) in enumerate(points)}
     if len(position) < len(points) or len(cameras) < len(lenses):
@@ -414,11 +405,6 @@ def read_colmap(folder: Path) -> Block:
     return of_colmap(given, folder, keys, _rigs(opened(paths[0])), _frames(opened(paths[1])))
 
 
-def write_text(folder: Path, given: Block, choices: Choices) -> tuple[Conversion, ...]:
-    """cameras.txt, images.txt, points3D.txt."""
-    return write_colmap(folder, given, choices)
-
-
 def write_binary(folder: Path, given: Block, choices: Choices) -> tuple[Conversion, ...]:
     """cameras.bin, images.bin, points3D.bin."""
     return write_colmap(folder, given, choices, binary=True)
@@ -435,7 +421,7 @@ def write_colmap(
         model = "OPENCV_FISHEYE" if pinhole.fisheye else "FULL_OPENCV"
         # The principal point half a pixel further.
         values = [getattr(pinhole, n) + (0.5 if n in ("cx", "cy") else 0) for n in MODELS[NUMBERS[model]][1]]
-        lenses.append(Lens(k, model, pinhole.size_px, tuple(values)))
+        lenses.append((k, model, pinhole.size_px, tuple(values)))
     rotation, translation = to_vision(images.values)
     quaternion = quaternion_from_rotation(rotation)
     keys = np.array([int(name) for name in whole_numbers(listed.names)], dtype=np.int64)
@@ -458,24 +444,24 @@ def write_colmap(
 
 
 def _camera(lens: Lens, place: object) -> Camera:
-    names = MODELS[NUMBERS[lens.model]][1]
-    if len(lens.parameters) != len(names):
+    key, model, size_px, parameters = lens
+    names = MODELS[NUMBERS[model]][1]
+    if len(parameters) != len(names):
         raise InputMalformedError(
-            f"camera {lens.key} has {len(lens.parameters)} parameters where {lens.model} has {len(names)}",
-            where=place,
+            f"camera {key} has {len(parameters)} parameters where {model} has {len(names)}", where=place
         )
-    value = dict(zip(names, lens.parameters, strict=True))
+    value = dict(zip(names, parameters, strict=True))
     f = value.get("f", 0.0)
     pinhole = Pinhole(
-        lens.size_px,
+        size_px,
         value.get("fx", f),
         value.get("fy", f),
         value["cx"] - 0.5,
         value["cy"] - 0.5,
         **{k: value.get(k, 0.0) for k in ("k1", "k2", "k3", "p1", "p2", "k4", "k5", "k6")},
-        fisheye=lens.model.endswith("FISHEYE"),
+        fisheye=model.endswith("FISHEYE"),
     )
-    camera = from_pinhole(pinhole, str(lens.key), place)
+    camera = from_pinhole(pinhole, str(key), place)
     free = {"c", "x0", "y0"}.union(*(ours for theirs, ours in _FREES.items() if theirs in value))
     # Without k4 to k6 a FULL_OPENCV lens is Brown's, whose K4 is another.
     free &= set(camera.lens.names) - ({"K4"} if camera.model == "brown-ideal" else set())

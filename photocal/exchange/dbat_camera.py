@@ -60,9 +60,9 @@ class DbatRow:
             raise self.line.malformed(f"has no {field}", "give every row its id")
         return str(int(text)) if text.isdecimal() else text
 
-    def sigma(self, default: float = 0.0) -> tuple[float, float, float]:
-        """Standard deviations in x, y, z."""
-        values = (self.value("sx", default), self.value("sy", default), self.value("sz", default))
+    def sigma(self) -> tuple[float, float, float]:
+        """Standard deviations in x, y, z; 0 where the table has none."""
+        values = (self.value("sx", 0.0), self.value("sy", 0.0), self.value("sz", 0.0))
         if min(values) < 0:
             raise self.line.malformed("a standard deviation is negative")
         return values

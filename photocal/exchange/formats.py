@@ -219,7 +219,7 @@ FORMATS: tuple[Format, ...] = (
            "brown-ideal", "px, m, unit quaternion", "read", "write_binary",
            ("cameras.bin", "images.bin", "points3D.bin")),
     Format("colmap", "photocal.exchange.colmap", "COLMAP, text", WHOLE, "cartesian", CORNER, VISION,
-           "brown-ideal", "px, m, unit quaternion", "read", "write_text",
+           "brown-ideal", "px, m, unit quaternion", "read", "write_colmap",
            ("cameras.txt", "images.txt", "points3D.txt")),
     Format("opensfm", "photocal.exchange.opensfm", "OpenSfM and ODM, reconstruction", WHOLE, "cartesian",
            "middle of the image, by its larger side", VISION, "brown-ideal",
@@ -263,7 +263,7 @@ FORMATS: tuple[Format, ...] = (
     Format("kml", "photocal.exchange.geographic", "KML", ("orientations", "points"), "wgs84", CENTRE, PHOTO,
            "none", "deg, m, px", writes="write_kml:block.kml"),
     Format("geopackage", "photocal.exchange.geographic", "GeoPackage", ("orientations", "points", "marks"),
-           "wgs84", CENTRE, PHOTO, "none", "deg, m, px", writes="export_geopackage"),
+           "wgs84", CENTRE, PHOTO, "none", "deg, m, px", writes="write_geopackage:block.gpkg"),
 )  # fmt: skip
 
 

@@ -20,10 +20,9 @@ from photocal.base.geodesy import GeodeticPlace, enu_axes, geocentric, geodetic
 from photocal.base.geopackage import LOCAL, Feature, Layer, add_layer, add_table, geopackage, wgs84
 from photocal.block.model import ROLES, Block
 from photocal.exchange.exporting import Choices, to_cartesian, to_wgs84
-from photocal.exchange.pinhole import to_vision
 from photocal.exchange.source import write_xml
 from photocal.geometry.conversion import Conversion
-from photocal.geometry.distortion import undistorted
+from photocal.geometry.oriented_images import OrientedImages
 
 # Turns local coordinates, shape (n, 3), into longitude, latitude, height.
 ToGeographic = Callable[[Floats], Floats]
@@ -84,20 +83,10 @@ def write_kml(path: Path, given: Block, choices: Choices) -> tuple[Conversion, .
 
 
 def footprints(given: Block, height_m: float) -> Floats:
-    """Corners of each image on a horizontal plane."""
-    rotation, _ = to_vision(given.images.values)
-    corners = np.full((len(given.images.values), 4, 3), np.nan)
-    for k, pose in enumerate(given.images.values):
-        camera = given.cameras[given.images.camera[k]]
-        half = np.array(camera.size_px) * camera.pitch / 2
-        edge = np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]]) * half
-        rays = undistorted(camera, edge) / camera.value("c") * [1.0, -1.0]
-        direction = np.column_stack([rays, np.ones(4)]) @ rotation[k]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            distance = (height_m - pose[5]) / direction[:, 2]
-        if (distance > 0).all() and np.isfinite(distance).all():
-            corners[k] = pose[3:] + distance[:, None] * direction
-    return corners
+    """Corners of each image on a horizontal plane, (n, 4, 3); NaN for one that looks beyond it."""
+    images = given.images
+    shots = OrientedImages(images.names, given.cameras, images.camera, images.values)
+    return shots.on_level(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), height_m)
 
 
 def features(
@@ -209,8 +198,11 @@ _RESIDUALS = {
 }
 
 
-def write_geopackage(path: Path, given: Block, to_geographic: ToGeographic | None, choices: Choices) -> None:
-    """Write a GeoPackage; `to_geographic`: from `geographic.topocentric`; None keeps local coordinates."""
+def write_geopackage(path: Path, given: Block, choices: Choices) -> tuple[Conversion, ...]:
+    """Write a layer for each kind of thing; a local frame without an origin keeps its coordinates."""
+    to_geographic: ToGeographic | None = None
+    if choices.origin is not None or given.frame != "local":
+        given, to_geographic = located(given, choices)
     residuals_px, seen = choices.residuals_of(given), given.observations
     system = LOCAL if to_geographic is None else wgs84()
     layers: dict[str, tuple[Layer, list[Feature]]] = {
@@ -230,12 +222,4 @@ def write_geopackage(path: Path, given: Block, to_geographic: ToGeographic | Non
         for layer, layer_features in layers.values():
             add_layer(database, layer, system, layer_features, choices.changed_utc)
         add_table(database, "image_residuals", _RESIDUALS, rows, choices.changed_utc)
-
-
-def export_geopackage(folder: Path, given: Block, choices: Choices) -> tuple[Conversion, ...]:
-    """A layer for each kind of thing."""
-    turn: ToGeographic | None = None
-    if choices.origin is not None or given.frame != "local":
-        given, turn = located(given, choices)
-    write_geopackage(folder / "block.gpkg", given, turn, choices)
     return ()

@@ -33,19 +33,8 @@ _TERMS = ("K1", "K2", "K3", "P1", "P2", "B1")
 
 # Principal distance, principal point, format (mm), K1, K2, K3, P1, P2.
 Interior = tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Photo:
-    """One photo of an export.
-
-    name: file name without folders.
-    pose (6,): omega, phi, kappa in radians, X, Y, Z.
-    """
-
-    name: str
-    pose: Floats
-    interior: Interior
+# File name without folders; omega, phi, kappa in radians, X, Y, Z; interior orientation.
+Photo = tuple[str, Floats, Interior]
 
 
 @dataclass(frozen=True)
@@ -149,7 +138,7 @@ def _photo(cursor: _Cursor, expected: int) -> Photo:
     interior = cursor.values("interior orientation", 11)[1:]
     cursor.values("its standard deviations", 11)
     name = cells[1].strip().replace("\\", "/").rsplit("/", 1)[-1]
-    return Photo(name, np.array([*np.radians(pose[:2:-1]), *pose[:3]]), tuple(interior))
+    return name, np.array([*np.radians(pose[:2:-1]), *pose[:3]]), tuple(interior)
 
 
 def _points(lines: list[Line]) -> list[tuple[str, Floats]]:
@@ -177,7 +166,7 @@ def _mark(line: Line, photos: list[Photo], shift: int) -> parts.Mark:
     default_sigma_px = 1.0
     sigma = (default_sigma_px, default_sigma_px) if smart else (sx, sy)
     name = str(int(point) + shift) if smart else str(int(point))
-    return parts.Mark(photos[int(photo)].name, name, *to_column_row(x, y), sigma, line.place)
+    return parts.Mark(photos[int(photo)][0], name, *to_column_row(x, y), sigma, line.place)
 
 
 def read_control(path: Path) -> dict[str, tuple[Floats, Floats]]:
@@ -197,7 +186,7 @@ def block_from_export(
     """Make a block from an export and a table of control points."""
     place = export.path
     shift = _shift(export, control, place)
-    names = tuple(photo.name for photo in export.photos)
+    names, poses, own = zip(*export.photos, strict=True)
     parts.require_unique(names, "photo", place)
     observed = {mark.point for mark in export.marks}
     idle = [name for name in export.points if name not in observed and name not in control]
@@ -213,9 +202,9 @@ def block_from_export(
         for name, xyz in export.points.items()
         if name not in control
     ]
-    values = np.array([photo.pose for photo in export.photos])
+    values = np.array(poses)
     values[:, 3:] += shift
-    interiors = list(dict.fromkeys(photo.interior for photo in export.photos))
+    interiors = list(dict.fromkeys(own))
     # The photos' c and principal point are printed to 1 um, their coefficients to five decimals; the head has
     # the same values with more digits.
     rounding = [0.51e-3] * 3 + [0.51e-5] * 7
@@ -225,7 +214,7 @@ def block_from_export(
     cameras = tuple(
         _camera(export.size_px, interior, f"camera{k}", place) for k, interior in enumerate(printed, start=1)
     )
-    which = [interiors.index(photo.interior) for photo in export.photos]
+    which = [interiors.index(interior) for interior in own]
     shots = Images(names, np.array(which, dtype=np.int64), values)
     return parts.block_of_marks(
         export.title or place.as_posix(), cameras, shots, points, export.marks, files or [place]

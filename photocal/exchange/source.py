@@ -157,14 +157,6 @@ def numbers(text: str, place: object, what: str, count: int | None = None) -> li
     return [number(cell, place, what) for cell in cells]
 
 
-def whole(cell: str, place: object, what: str) -> int:
-    """Read one whole number; raises InputMalformedError when it is no whole number."""
-    value = number(cell, place, what)
-    if value != int(value):
-        raise InputMalformedError(f"{what} is {cell.strip()!r}, not a whole number", where=place)
-    return int(value)
-
-
 def image_size(width: float, height: float, place: object) -> tuple[int, int]:
     """Check an image size that a file claims."""
     if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX) or width % 1 or height % 1:

@@ -37,20 +37,6 @@ _NUMBERED = re.compile(r"(.*?)(\d+)(\D*)$")
 
 
 @dataclass(frozen=True)
-class Known:
-    """What a verdict has to know beside the findings.
-
-    images: of the block; 0 where that is not known.
-    placed: whether the block has a datum, by control or positions.
-    calibrated: whether anything of a camera was estimated.
-    """
-
-    images: int = 0
-    placed: bool = True
-    calibrated: bool = True
-
-
-@dataclass(frozen=True)
 class VerdictLine:
     """One line of a verdict: the worst of findings that are alike.
 
@@ -83,8 +69,15 @@ class Verdict:
     notes: int = 0
 
 
-def judge(findings: Iterable[Finding], known: Known = Known()) -> Verdict:
-    """Judge over all findings: what is grave withholds acceptance, what is doubtful is a reservation."""
+def judge(
+    findings: Iterable[Finding], images: int = 0, *, placed: bool = True, calibrated: bool = True
+) -> Verdict:
+    """Judge over all findings: what is grave withholds acceptance, what is doubtful is a reservation.
+
+    images: of the block; 0 where that is not known.
+    placed: whether the block has a datum, by control or positions.
+    calibrated: whether anything of a camera was estimated.
+    """
     listed = _once(findings)
     deciding = _deciding(listed)
     grave = [f for f in deciding if f.severity in ("refused", "grave")]
@@ -96,11 +89,11 @@ def judge(findings: Iterable[Finding], known: Known = Known()) -> Verdict:
         outcome = Finding("usable-with-reservations", "doubtful", figures=figures)
     else:
         outcome = Finding("usable", "passed", figures=figures)
-    lines = _lines(by_methods(deciding), known.images)
+    lines = _lines(by_methods(deciding), images)
     return Verdict(
         outcome,
-        _answer(deciding, _OF_CAMERA) if known.placed else "not-placed",
-        _of_camera(deciding, listed) if known.calibrated else "held",
+        _answer(deciding, _OF_CAMERA) if placed else "not-placed",
+        _of_camera(deciding, listed) if calibrated else "held",
         lines[:MOST_LINES],
         max(0, len(lines) - MOST_LINES),
         sum(f.severity == "note" for f in listed),

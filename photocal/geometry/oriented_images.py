@@ -187,6 +187,19 @@ class OrientedImages:
             rays.append(np.column_stack([ideal, np.full(len(ideal), -camera.values[0])]))
         return np.asarray(np.einsum("mkc,mcd->mkd", np.array(rays)[self.camera], self.rotation))
 
+    def on_level(self, places: Floats, height: float) -> Floats:
+        """Where rays through places of each image meet a level, shape (n, m, 3), in local coordinates.
+
+        places: as of `directions`.
+        returns: NaN for an image of which a ray does not go there.
+        """
+        rays = self.directions(places)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            steps = (height - self.station[:, None, 2]) / rays[..., 2]
+            points = self.station[:, None] + steps[..., None] * rays
+        meet = np.asarray(((steps > 0) & np.isfinite(steps)).all(axis=1))
+        return np.where(meet[:, None, None], points, np.nan)
+
     def ideal(self, image: Integers, pixels: Floats) -> tuple[Floats, Floats]:
         """Undistorted image coordinates from the principal point, shape (m, 2), and their c, shape (m,).
 

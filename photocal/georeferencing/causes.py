@@ -22,7 +22,7 @@ from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, SHIFT, TIME, 
 from photocal.adjustment.readout import READOUT
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, PhotocalError
-from photocal.block.model import Block, Role
+from photocal.block.model import Block, ObjectPoints
 from photocal.block.network import NetworkOfBlock, assemble, observed_plane
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera
@@ -224,8 +224,11 @@ def mistyped_of(found: SystematicErrors | None, named: Slips = no_slips) -> tupl
 
 def ground_findings(block: Block) -> tuple[Finding, ...]:
     """Look for mistakes in the control and check points of a block."""
-    control, check = _of_role(block, "control"), _of_role(block, "check")
-    surveyed = block.observations.rows(~block.points.of_role("tie")[block.observations.point])
+    given = block.points
+    control, check, ground = (
+        given.only(role) for role in (given.of_role("control"), given.of_role("check"), ~given.of_role("tie"))
+    )
+    surveyed = block.observations.rows(~given.of_role("tie")[block.observations.point])
     pairs = tuple(
         (block.images.names[i], block.points.names[j])
         for i, j in zip(surveyed.image, surveyed.point, strict=True)
@@ -235,7 +238,6 @@ def ground_findings(block: Block) -> tuple[Finding, ...]:
         listed += ground_points.heights_all_equal(points, name)
     listed += ground_points.control_in_few_images(control.names, pairs, "control")
     listed += ground_points.control_in_few_images(check.names, pairs, "check")
-    ground = ground_points.GroundPoints(control.names + check.names, np.vstack([control.xyz_m, check.xyz_m]))
     if not len(ground.names):
         return tuple(listed)
     from pyproj import CRS
@@ -253,13 +255,7 @@ def ground_findings(block: Block) -> tuple[Finding, ...]:
     return tuple(listed)
 
 
-def _of_role(block: Block, role: Role) -> ground_points.GroundPoints:
-    indices = np.flatnonzero(block.points.of_role(role))
-    names = tuple(block.points.names[j] for j in indices)
-    return ground_points.GroundPoints(names, block.points.values[indices])
-
-
-def _place_findings(block: Block, ground: ground_points.GroundPoints, system: Any) -> tuple[Finding, ...]:
+def _place_findings(block: Block, ground: ObjectPoints, system: Any) -> tuple[Finding, ...]:
     # Observed antenna positions, else the centres of images.csv.
     exposures = block.positions.values if len(block.positions.image) else block.images.values[:, 3:]
     exposures = exposures[np.isfinite(exposures).all(axis=1)]
@@ -272,7 +268,7 @@ def _place_findings(block: Block, ground: ground_points.GroundPoints, system: An
     if system.is_geographic:
         # X is longitude (east) and Y latitude (north), as for every other frame.
         return ground_points.latitude_longitude_swapped(
-            ground.xyz_m[:, 1], ground.xyz_m[:, 0], exposures[:, 1::-1]
+            ground.values[:, 1], ground.values[:, 0], exposures[:, 1::-1]
         )
     utm = system.utm_zone
     if utm is None:
@@ -285,11 +281,11 @@ def _place_findings(block: Block, ground: ground_points.GroundPoints, system: An
     return ground_points.wrong_utm_zone(ground, int(utm[:-1]), southern=utm[-1] == "S", exposures_deg=degrees)
 
 
-def _far_in_local_frame(ground: ground_points.GroundPoints, exposures: Floats) -> tuple[Finding, ...]:
+def _far_in_local_frame(ground: ObjectPoints, exposures: Floats) -> tuple[Finding, ...]:
     """Ground points far from the exposures, and the mistake that would bring them near."""
     # Farther than any flight is from its ground points, in a local frame.
     far_m = 50_000.0
-    places = ground.xyz_m[np.isfinite(ground.xyz_m).all(axis=1)]
+    places = ground.values[np.isfinite(ground.values).all(axis=1)]
     if not len(places):
         return ()
     flight, middle = exposures[:, :2].mean(axis=0), places[:, :2].mean(axis=0)
@@ -309,7 +305,7 @@ def _far_in_local_frame(ground: ground_points.GroundPoints, exposures: Floats) -
     return (Finding("points-far-from-flight", "grave", figures=far, cause="other-frame"),)
 
 
-def by_start_values(block: Block) -> ground_points.GroundPoints:
+def by_start_values(block: Block) -> ObjectPoints:
     """Intersect the rays of all points from the given orientations."""
     plane, _ = observed_plane(block)
     image = block.observations.image
@@ -330,4 +326,4 @@ def by_start_values(block: Block) -> ground_points.GroundPoints:
         slopes[known],
         np.ones(known.sum()),
     )
-    return ground_points.GroundPoints(block.points.names, xyz)
+    return ObjectPoints(block.points.names, xyz)

@@ -19,7 +19,7 @@ from photocal.base.policy import policy
 from photocal.findings.document import Paragraph, Piece, Remarks, Section, TablePart, markdown, table, text
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json
-from photocal.findings.verdict import Known, Verdict, judge, verdict_json, verdict_section
+from photocal.findings.verdict import Verdict, judge, verdict_json, verdict_section
 from photocal.georeferencing.comparison import CRITICAL_W, BlockCheck, Differences, Judged
 from photocal.georeferencing.findings import block_findings
 from photocal.hypotheses.findings import estimate_text
@@ -196,7 +196,8 @@ def block_verdict(check: BlockCheck, findings: tuple[Finding, ...]) -> Verdict:
     """Judge a block by what its check found."""
     block = check.block
     calibrated = any(camera.estimated.any() for camera in block.cameras)
-    return judge(findings, Known(len(block.images.names), block.datum != "free", calibrated))
+    placed = block.datum != "free"
+    return judge(findings, len(block.images.names), placed=placed, calibrated=calibrated)
 
 
 def sections(

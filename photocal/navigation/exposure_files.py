@@ -240,7 +240,7 @@ def write_geopackage_of(
 ) -> None:
     """Write the exposures with image and position for a GIS: WGS 84, angles in the topocentric frame."""
     from photocal.exchange.exporting import Choices
-    from photocal.exchange.geographic import topocentric, write_geopackage
+    from photocal.exchange.geographic import write_geopackage
     from photocal.geometry.camera import camera as nominal
 
     rows, xyz, (angles, covariance), frame = _oriented(exposures, rig, None)
@@ -257,7 +257,7 @@ def write_geopackage_of(
     # Without points there are no footprints: the camera gives its name only.
     unknown = nominal(camera, "brown-ideal", "px", (2, 2), (1.0, 1.0), {"c": 1.0})
     given = Block("exposures", "local", "", "free", (unknown,), images)
-    write_geopackage(path, given, topocentric(origin), Choices(changed_utc=changed_utc))
+    write_geopackage(path, given, Choices(origin=origin, changed_utc=changed_utc))
 
 
 def write_run(

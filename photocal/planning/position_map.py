@@ -1,6 +1,6 @@
 """Observed minus adjusted camera positions, exposure by exposure: a table, a map for QGIS and a picture."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from photocal.accuracy.maps import round_down
-from photocal.adjustment.mounting import BORESIGHT, LEVER, TIME, Mounting, Positions, body_to_camera
+from photocal.adjustment.mounting import SHIFT, Mounting, Positions, antennas, body_to_camera
 from photocal.base.arrays import Floats
 from photocal.base.files import output_folder, output_picture, write_rows
 from photocal.base.geopackage import Layer, ReferenceSystem, add_layer, geopackage
+from photocal.geometry.oriented_images import OrientedImages
 
 _NUMBERS = ("dX_m", "dY_m", "dZ_m")
 _LAYER = Layer(
@@ -46,30 +47,21 @@ class PositionDifferences:
 
 
 def position_differences(
-    names: Sequence[str],
-    rotation: Floats,
-    station: Floats,
-    positions: Positions,
-    mounting: Mounting,
-    adjusted: dict[str, float],
+    images: OrientedImages, positions: Positions, mounting: Mounting, common: Floats
 ) -> PositionDifferences | None:
     """Reduce observed antenna positions to the camera and compare them with the adjusted centres.
 
-    rotation, station: adjusted, of all images, in the local frame; positions: in the same frame.
-    adjusted: lever arm, boresight (deg) and time offset by name, as results have them.
+    images: adjusted, in the local frame; positions: in the same frame.
+    common: adjusted lever arm, boresight and time offset; what flight and strips have in common stays in the
+        differences.
     """
     if not len(positions.image):
         return None
-    values = mounting.values.copy()
-    for part, key, unit in ((LEVER, "lever_arm", 1.0), (BORESIGHT, "boresight", np.radians(1.0))):
-        found = (adjusted.get(f"{key}_{axis}") for axis in "xyz")
-        both = zip(found, values[part], strict=True)
-        values[part] = [given if one is None else unit * one for one, given in both]
-    values[TIME] = adjusted.get("time_offset", values[TIME])
-    at = positions.image
-    arm = np.swapaxes(rotation[at], 1, 2) @ (body_to_camera(mounting, values) @ values[LEVER])
-    observed = positions.values - arm + positions.velocity * values[TIME]
-    return PositionDifferences(tuple(names[k] for k in at), station[at], observed - station[at])
+    of_rig = np.where(np.arange(len(common)) < SHIFT.start, common, 0.0)
+    matrix = body_to_camera(mounting, of_rig)
+    antenna = antennas(positions, matrix, of_rig, images.rotation, images.station)
+    names = tuple(images.names[k] for k in positions.image)
+    return PositionDifferences(names, images.station[positions.image], positions.values - antenna)
 
 
 def write_positions(

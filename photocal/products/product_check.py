@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.accuracy.discrepancies import Discrepancies
-from photocal.accuracy.ground_points import GroundPoints
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.base.policy import policy
 from photocal.base.text_tables import read_table
+from photocal.block.model import ObjectPoints
 from photocal.products.options import ProductOptions
 from photocal.products.raster import RasterFile, describe, opened, terrain_source
 
@@ -33,7 +33,7 @@ class ProductCheck:
     remarks: tuple[str, ...]
 
 
-def read_check_points(path: Path) -> GroundPoints:
+def read_check_points(path: Path) -> ObjectPoints:
     """Read surveyed check points.
 
     path: CSV with point, E, N and optional h, in m and in the reference system of the products.
@@ -41,10 +41,10 @@ def read_check_points(path: Path) -> GroundPoints:
     """
     table = read_table(path, ("point", "E", "N"), ("h",))
     columns = [table.numbers("E"), table.numbers("N"), table.numbers("h", empty=np.nan)]
-    return GroundPoints(table.unique_names("point"), np.column_stack(columns))
+    return ObjectPoints(table.unique_names("point"), np.column_stack(columns))
 
 
-def check_products(points: GroundPoints, options: ProductOptions) -> ProductCheck:
+def check_products(points: ObjectPoints, options: ProductOptions) -> ProductCheck:
     """Find the targets of check points in an orthomosaic and sample a terrain model there.
 
     The height of the model is taken at the surveyed place (bilinear), so that an error in position does not
@@ -83,7 +83,7 @@ def check_products(points: GroundPoints, options: ProductOptions) -> ProductChec
             )
         raster = describe(ortho)
         _require_square(raster, diameter)
-        for row, (name, place) in enumerate(zip(points.names, points.xyz_m, strict=True)):
+        for row, (name, place) in enumerate(zip(points.names, points.values, strict=True)):
             target = find_target(raster, place[:2], diameter, search)
             product[row, :2], likeness[row] = target[:2], target[2]
             if not np.isfinite(target[0]):
@@ -96,7 +96,7 @@ def check_products(points: GroundPoints, options: ProductOptions) -> ProductChec
             for name, height in zip(points.names, heights, strict=True)
             if not np.isfinite(height)
         ]
-    discrepancies = Discrepancies(points.names, product - points.xyz_m, points.xyz_m.copy())
+    discrepancies = Discrepancies(points.names, product - points.values, points.values.copy())
     return ProductCheck(discrepancies, product, likeness, tuple(remarks))
 
 
@@ -109,7 +109,7 @@ def _require_square(raster: RasterFile, diameter: float) -> None:
         raise wrong(f"a target of {diameter:g} m is smaller than two cells of {a:g} m")
 
 
-def _heights(dtm: Path, points: GroundPoints, kind: str | None, stated: str | None) -> Floats:
+def _heights(dtm: Path, points: ObjectPoints, kind: str | None, stated: str | None) -> Floats:
     raster = describe(dtm)
     model = raster.stated_heights(stated)
     wrong = ConfigurationError.at(dtm)
@@ -124,7 +124,7 @@ def _heights(dtm: Path, points: GroundPoints, kind: str | None, stated: str | No
         )
     source = terrain_source(raster, model)
     return np.array(
-        [float(source((e, n, e, n)).at(np.array([e]), np.array([n]))[0]) for e, n in points.xyz_m[:, :2]]
+        [float(source((e, n, e, n)).at(np.array([e]), np.array([n]))[0]) for e, n in points.values[:, :2]]
     )
 
 

@@ -192,9 +192,7 @@ def radial_distortion(title: str, name: str, run: AnalysedRun, camera_id: str, s
     outermost = float(np.hypot(*place.T).max()) if len(place) else 0.0
     curve = sensor.radial_profile(camera, np.linspace(0.0, corner, 241))
     factor, unit = (1e3, "µm") if camera.unit == "mm" else (1.0, "px")
-    at = [
-        f"{say.fixed(factor * float(v), 1)} {unit}" for v in (curve.displacement[0], curve.displacement[-1])
-    ]
+    at = [f"{say.fixed(factor * float(v), 1)} {unit}" for v in curve[[0, -1], 1]]
     radius = say.fixed(corner, 2)
     figure = PicturePart(
         f"radial-{name}",
@@ -217,14 +215,11 @@ def _distortion_table(camera: Camera, corner: float, note: str, say: Catalogue) 
     heads += [f"{key} [{unit}]" for unit in units for key in ("displacement", "sigma")]
     heads.append(f"decentring [{units[0]}]")
     rows = []
-    for r, d, s, t in zip(
-        profile.radius, profile.displacement, profile.sigma, profile.decentering, strict=True
-    ):
-        row = [say.fixed(float(r), 2 if millimetres else 0)]
-        if millimetres:
-            row += [say.fixed(1e3 * float(d), 1), say.fixed(1e3 * float(s), 1)]
-        row += [say.fixed(float(d) / pitch, 2), say.fixed(float(s) / pitch, 2)]
-        row.append(say.fixed(1e3 * float(t), 1) if millimetres else say.fixed(float(t), 2))
+    for r, d, s, t in profile.tolist():
+        row = [say.fixed(r, 2 if millimetres else 0)]
+        row += [say.fixed(1e3 * d, 1), say.fixed(1e3 * s, 1)] if millimetres else []
+        row += [say.fixed(d / pitch, 2), say.fixed(s / pitch, 2)]
+        row.append(say.fixed(1e3 * t, 1) if millimetres else say.fixed(t, 2))
         rows.append(tuple(row))
     return said_table(say, "distortion.table", heads, rows, note)
 

@@ -9,7 +9,7 @@ from photocal.findings.digits import relation
 from photocal.findings.document import Document, Highlight, KeyValues, Piece, Section, Statement, Tone
 from photocal.findings.finding import Finding, of_global_test
 from photocal.findings.texts import Catalogue, finding_text, identity
-from photocal.findings.verdict import Known, Verdict, judge, verdict_text
+from photocal.findings.verdict import Verdict, judge, verdict_text
 from photocal.report import analysis_sections, block_sections, camera_sections, required_sections
 from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures, derived_figures
@@ -152,13 +152,13 @@ def overall(run: AnalysedRun, known: tuple[DerivedFigures, ...], warnings: tuple
     diverged = () if result.converged else (Finding("not-converged", "grave"),)
     # What the stages tell of the analysis is known beside all else: it counts before the analysis alone.
     found = (*diverged, *analysed, *plausible, tested(result, warnings), *warnings)
-    return judge(found, known_of(result))
+    return judged(result, found)
 
 
-def known_of(result: Result) -> Known:
-    """Give what a verdict has to know of an adjustment."""
+def judged(result: Result, findings: Iterable[Finding]) -> Verdict:
+    """Judge over findings of an adjustment."""
     calibrated = any(camera.free for camera in result.cameras.values())
-    return Known(len(result.images), result.block.datum != "free", calibrated)
+    return judge(findings, len(result.images), placed=result.block.datum != "free", calibrated=calibrated)
 
 
 def tested(result: Result, findings: Iterable[Finding]) -> Finding:

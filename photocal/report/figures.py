@@ -14,7 +14,7 @@ from photocal.base.arrays import Floats
 from photocal.findings.digits import MINUS, symbol
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
-from photocal.report.sensor import RadialProfile, SensorResiduals
+from photocal.report.sensor import SensorResiduals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,15 +39,15 @@ STYLE: Any = {
 }
 
 
-def radial_curve(camera: Camera, profile: RadialProfile, observed_to: float, say: Catalogue) -> str:
-    """Draw the radial displacement over the radius with its 1-sigma band."""
+def radial_curve(camera: Camera, profile: Floats, observed_to: float, say: Catalogue) -> str:
+    """Draw the radial displacement over the radius with its 1-sigma band, as `radial_profile` has them."""
     millimetres = camera.unit == "mm"
     factor = 1e3 if millimetres else 1.0
     pitch = float(np.mean(camera.pitch))
 
     with drawing(WIDTH, 3.7) as (figure, out):
         ax = figure.add_axes((0.09, 0.37, 0.82, 0.60))
-        r, d, s = profile.radius, profile.displacement * factor, profile.sigma * factor
+        r, d, s = profile[:, 0], profile[:, 1] * factor, profile[:, 2] * factor
         ax.axhline(0.0, color=RULE, linewidth=0.6)
         ax.fill_between(r, d - s, d + s, color=SHADE, linewidth=0, label=say("figure.radial.band"))
         inside = r <= observed_to

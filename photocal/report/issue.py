@@ -109,7 +109,6 @@ def _exposures(run: AnalysedRun) -> list[dict[str, Any]]:
 def _camera(run: AnalysedRun, known: DerivedFigures) -> dict[str, Any]:
     camera = run.result.cameras[known.camera_id]
     curve = radial_profile(camera, np.linspace(0.0, farthest_corner(camera), 21))
-    columns = zip(curve.radius, curve.displacement, curve.sigma, curve.decentering, strict=True)
     keys = ("radius", "value", "sigma", "decentring_at_most")
     sigma, whose = run.stated(known.camera_id)
     renamed = {"principal_distance_mm": "focal_mm", "flying_height_m": "height_m", "air_base_m": "base_m"}
@@ -123,7 +122,7 @@ def _camera(run: AnalysedRun, known: DerivedFigures) -> dict[str, Any]:
         "findings": [picked(f, "code", "severity", "subject", "figures") for f in known.findings],
         "radial_displacement": {
             "unit": camera.unit,
-            "rows": [dict(zip(keys, map(float, row), strict=True)) for row in columns],
+            "rows": [dict(zip(keys, row, strict=True)) for row in curve.tolist()],
         },
     }
 

@@ -14,43 +14,27 @@ RADIAL = ("K1", "K2", "K3", "K4")
 _PRISM = ("S1", "S2", "S3", "S4")
 
 
-@dataclass(frozen=True)
-class RadialProfile:
-    """Radial displacement over the radius, all in the unit of the camera, shape (n,).
-
-    displacement: measured minus ideal radius: positive outwards.
-    decentering: largest displacement by P1 to P4 at that radius.
-    """
-
-    radius: Floats
-    displacement: Floats
-    sigma: Floats
-    decentering: Floats
-
-
-def radial_profile(camera: Camera, radius: Floats) -> RadialProfile:
+def radial_profile(camera: Camera, radius: Floats) -> Floats:
     """Evaluate the radial distortion and its standard deviation.
 
     d(r) = K1 (r^3 - R0^2 r) + K2 (r^5 - R0^4 r) + ..., Brown (1971), the part of the camera equations
     that is added to the projection. The decentring part along the line of its largest effect is
     3 sqrt(P1^2 + P2^2) r^2 (1 + P3 r^2 + P4 r^4) (Brown 1966).
+
+    returns: radius, displacement (measured minus ideal radius: positive outwards), its sigma, and the largest
+        displacement by P1 to P4 at that radius, all in the unit of the camera, shape (n, 4).
     """
     r = np.asarray(radius, dtype=np.float64)
-    c, decentring = camera.value("c"), 3.0 * np.hypot(camera.value("P1"), camera.value("P2"))
+    decentring = 3.0 * np.hypot(camera.value("P1"), camera.value("P2"))
     if camera.lens.relative:
         # A lens that is not Brown's.
+        c = camera.value("c")
         ray = r / c
         prism = np.hypot(*(camera.value(a) + camera.value(b) * ray**2 for a, b in (_PRISM[:2], _PRISM[2:])))
         swing = c * ray**2 * (decentring + prism)
-        return RadialProfile(r, beyond(camera, r), radial_profile_sigma(camera, r), swing)
-    powers = np.arange(2, 2 * len(RADIAL) + 1, 2)
-    basis = r[:, None] * (r[:, None] ** powers - camera.reference_radius**powers)
-    displacement = basis @ np.array([camera.value(name) for name in RADIAL])
-    names = [name for name in camera.free if name in RADIAL]
-    jacobian = basis[:, [RADIAL.index(name) for name in names]]
-    variance = np.einsum("ni,ij,nj->n", jacobian, camera.covariance_of(names), jacobian)
-    swell = np.abs(1.0 + camera.value("P3") * r**2 + camera.value("P4") * r**4)
-    return RadialProfile(r, displacement, np.sqrt(np.maximum(variance, 0.0)), decentring * r**2 * swell)
+    else:
+        swing = decentring * r**2 * np.abs(1.0 + camera.value("P3") * r**2 + camera.value("P4") * r**4)
+    return np.column_stack([r, beyond(camera, r), radial_profile_sigma(camera, r), swing])
 
 
 def farthest_corner(camera: Camera) -> float:

@@ -52,6 +52,7 @@ from photocal.results.result import (
     Residuals,
     Result,
     Software,
+    common_values,
 )
 
 NOTHING_MORE = Wanted()
@@ -198,9 +199,7 @@ def state_of(assembly: NetworkOfBlock, result: Result) -> State | None:
     point = {name: k for k, name in enumerate(result.points.names)}
     poses = local_poses(assembly.frame, result.images.values[[image[name] for name in network.image_names]])
     start = start_state(network)
-    common, found = start.common.copy(), list((result.mounting or {}).values())
-    common[: len(found)] = [value.value for value in found]
-    common[BORESIGHT] = np.radians(common[BORESIGHT]) if found else common[BORESIGHT]
+    common = common_values(result.mounting, start.common).copy()
     of_heads = head_values(network, common)
     for head in result.heads:
         values = np.array([head.values[key].value for key in OF_HEAD])

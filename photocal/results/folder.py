@@ -52,18 +52,13 @@ _SOME = {"shutter", "gust", "prior_correlation", "stated_by"}
 _SHARED_BYTES = 1 << 31
 
 
-@dataclass(frozen=True)
-class _Images:
-    n: int
-
-
 @dataclass(frozen=True, kw_only=True)
 class _File(Figures):
     """What `result.json` holds."""
 
     schema: str
     cameras: dict[str, Any]
-    images: _Images
+    images: dict[str, Any]
 
 
 def result_json(result: Result) -> dict[str, Any]:
@@ -191,7 +186,8 @@ def _read(run: _RunFiles) -> Result:
     images = _images(folder, cameras)
     points = _points(folder)
     residuals = _residuals(table, images.names)
-    _same_count(folder / "images.csv", len(images), content.images.n, "images")
+    count = object_of(int, content.images.get("n"), folder / RESULT, AGAIN, "images.n")
+    _same_count(folder / "images.csv", len(images), count, "images")
     expected = [group.observations for group in content.groups if group.name == "image"]
     if expected:
         _same_count(table, 2 * len(residuals.accepted), expected[0], "image observations")

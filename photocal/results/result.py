@@ -1,7 +1,7 @@
 """The result of an adjustment: cameras, oriented images, points, residuals and what they are worth."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
@@ -11,6 +11,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
+from photocal.adjustment.mounting import BORESIGHT
 from photocal.adjustment.readout import Readout
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
 from photocal.adjustment.solution import ComponentFactor, GlobalTest, Group
@@ -287,6 +288,16 @@ class Figures:
         """By what a rejected global test multiplies standard deviations; None where it does not."""
         test = self.global_test
         return math.sqrt(self.sigma0_squared) if test and not test.accepted and self.sigma0_squared else None
+
+
+def common_values(mounting: Mapping[str, MountingValue] | None, given: Floats) -> Floats:
+    """Common values of `adjustment.mounting` (m, rad, s) as they were adjusted, else as given."""
+    if mounting is None:
+        return given
+    values = given.copy()
+    values[: len(mounting)] = [value.value for value in mounting.values()]
+    values[BORESIGHT] = np.radians(values[BORESIGHT])
+    return values
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -57,16 +57,13 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
         if exposures is not None:
             block = _flown(block, exposures, project.rig.mounting(), project.crs)
             check_rays(block, project.control.points)
-        block, by_hand = _chosen(block, project)
-        block, ranged = _ranged(block, project)
-        _write(folder, block, (*findings, *by_hand, *ranged))
+        _write_as_chosen(folder, block, project, findings)
         if (measurements / RECORD).exists():
             shutil.copyfile(measurements / RECORD, folder / RECORD)
 
-    chosen: dict[str, Any] = {} if bent is None else {"refraction": bent}
-    chosen |= _left_out(project) | _laser(project)
-    inputs = {} if distances is None else {"distances": distances}
-    inputs |= _laser_pictures(project)
+    inputs, chosen = _choices(project)
+    inputs |= {} if distances is None else {"distances": distances}
+    chosen |= {} if bent is None else {"refraction": bent}
     if exposures is None:
         return Stage("block", "the block", make, inputs, chosen, (measurements,))
     settings = {"rig": project.rig.mounting().model_dump(mode="json"), "crs": project.crs, **chosen}
@@ -177,48 +174,36 @@ def _refuse(bad: Flags, what: str, names: list[str], remedy: str) -> None:
         raise InputMalformedError(f"the {what} of image {name} has no standard deviation", remedy)
 
 
-def _left_out(project: Project) -> dict[str, Any]:
-    """What a person leaves out, as settings of the stage."""
-    chosen = project.contents.leave_out
-    return {"leave_out": [entry.model_dump(mode="json") for entry in chosen]} if chosen else {}
+def _choices(project: Project) -> tuple[dict[str, Path], dict[str, Any]]:
+    """Inputs and settings for what a person leaves out, and for laser distances as observations."""
+    contents, inputs, settings = project.contents, dict[str, Path](), dict[str, Any]()
+    if contents.leave_out:
+        settings["leave_out"] = [entry.model_dump(mode="json") for entry in contents.leave_out]
+    if contents.images is not None and contents.images.laser != "check":
+        settings["laser"] = contents.images.laser
+        inputs = pictures_of(project)
+    return inputs, settings
 
 
-def _chosen(block: Block, project: Project) -> tuple[Block, tuple[Finding, ...]]:
-    """The block without what a person leaves out, and what is told of that."""
-    from photocal.run.left_out import left_out
-
-    return left_out(block, project.contents.leave_out) if project.contents.leave_out else (block, ())
-
-
-def _laser(project: Project) -> dict[str, Any]:
-    """Whether laser distances are observations, as a setting of the stage."""
-    images = project.contents.images
-    return {} if images is None or images.laser == "check" else {"laser": images.laser}
-
-
-def _laser_pictures(project: Project) -> dict[str, Path]:
-    """The pictures as inputs of the stage, where their laser distances are observations."""
-    return pictures_of(project) if _laser(project) else {}
-
-
-def _ranged(block: Block, project: Project) -> tuple[Block, tuple[Finding, ...]]:
-    """The block with laser distances as observations where the project asks for that."""
-    if not _laser(project):
-        return block, ()
-    from photocal.run.laser_distances import with_lasers
-    from photocal.run.project_checks import facts_of_pictures
-
-    block, finding = with_lasers(block, facts_of_pictures(project, None))
-    return block, (finding,)
-
-
-def _write(folder: Path, block: Block, findings: tuple[Finding, ...]) -> None:
-    """Write a block, and beside it what is to be said of how it was joined."""
+def _write_as_chosen(folder: Path, block: Block, project: Project, findings: Sequence[Finding] = ()) -> None:
+    """Write a block as a person has chosen, and beside it what is to be said of how it was joined."""
     from photocal.block.writer import write_block
 
+    _, chosen = _choices(project)
+    if "leave_out" in chosen:
+        from photocal.run.left_out import left_out
+
+        block, by_hand = left_out(block, project.contents.leave_out)
+        findings = (*findings, *by_hand)
+    if "laser" in chosen:
+        from photocal.run.laser_distances import with_lasers
+        from photocal.run.project_checks import facts_of_pictures
+
+        block, ranged = with_lasers(block, facts_of_pictures(project, None))
+        findings = (*findings, ranged)
     write_block(folder, block)
     if findings:
-        Findings(findings).write(folder / FINDINGS)
+        Findings(tuple(findings)).write(folder / FINDINGS)
 
 
 def given_block_stage(project: Project, source: Path) -> Stage:
@@ -230,14 +215,12 @@ def given_block_stage(project: Project, source: Path) -> Stage:
             raise InputNotFoundError(
                 "has no block.toml", "name a block folder in [measurements]", where=source
             )
-        if not project.contents.leave_out and not _laser(project):
+        if not chosen:
             shutil.copytree(source, folder, dirs_exist_ok=True)
             return
         from photocal.block.folder import read_block
 
-        block, by_hand = _chosen(read_block(source), project)
-        block, ranged = _ranged(block, project)
-        _write(folder, block, (*by_hand, *ranged))
+        _write_as_chosen(folder, read_block(source), project)
 
-    inputs = {"block": source, **_laser_pictures(project)}
-    return Stage("block", "the block", make, inputs, _left_out(project) | _laser(project))
+    inputs, chosen = _choices(project)
+    return Stage("block", "the block", make, {"block": source, **inputs}, chosen)

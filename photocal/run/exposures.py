@@ -19,7 +19,6 @@ from photocal.run.stage import Stage, pictures_of
 if TYPE_CHECKING:
     from photocal.navigation.exposure_run import ExposureRun
     from photocal.navigation.rig import CameraOnBody
-    from photocal.navigation.trajectory import Trajectory
 
 # The exposures at the antenna.
 FIGURES, EXPOSURES = "exposures.json", "exposures.parquet"
@@ -82,12 +81,9 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
         write_exposures,
         write_geo_txt,
     )
-    from photocal.navigation.trajectory import Trajectory
 
-    trajectory = Trajectory.read(ppk / TRAJECTORY)
-    figures_of_ppk = PpkFigures.read(ppk / PPK_FIGURES)
     with show("exposures and their images", None):
-        run, rig = _placed(project, trajectory, figures_of_ppk)
+        run, rig = _placed(project, ppk)
     if not len(with_images(run.antenna)):
         raise IllPosedError(
             "no image has an exposure with a position",
@@ -102,12 +98,14 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
     plot_exposures(run, folder / "exposures.png")
 
 
-def _placed(
-    project: Project, trajectory: "Trajectory | None", figures_of_ppk: PpkFigures | None
-) -> "tuple[ExposureRun, CameraOnBody]":
+def _placed(project: Project, ppk: Path | None) -> "tuple[ExposureRun, CameraOnBody]":
+    """Exposures by the trajectory in a folder of PPK, or without one."""
     from photocal.navigation.exposure_run import choices_of_project, place_exposures
+    from photocal.navigation.trajectory import Trajectory
 
     choices = choices_of_project(project)
+    trajectory = None if ppk is None else Trajectory.read(ppk / TRAJECTORY)
+    figures_of_ppk = None if ppk is None else PpkFigures.read(ppk / PPK_FIGURES)
     try:
         run = place_exposures(choices, trajectory, figures_of_ppk)
     except ConfigurationError:
@@ -126,7 +124,6 @@ def exposures_of(project: Project, show: Progress) -> "tuple[ExposureRun, Camera
     from photocal.navigation.exposure_run import ExposureChoices, place_exposures
     from photocal.navigation.ppk_inputs import Sources
     from photocal.navigation.rig import CameraOnBody
-    from photocal.navigation.trajectory import Trajectory
     from photocal.run.stage import Digests, made_in, update_stage
 
     if project.contents.flight is None:
@@ -140,9 +137,7 @@ def exposures_of(project: Project, show: Progress) -> "tuple[ExposureRun, Camera
     try:
         update_stage(stage, project.output, digests, show)
     except (ConfigurationError, IllPosedError, InputNotFoundError) as refusal:
-        return *_placed(project, None, None), refusal.what
+        return *_placed(project, None), refusal.what
     finally:
         digests.keep()
-    folder = made_in(project.output) / stage.name
-    trajectory, figures = Trajectory.read(folder / TRAJECTORY), PpkFigures.read(folder / PPK_FIGURES)
-    return *_placed(project, trajectory, figures), ""
+    return *_placed(project, made_in(project.output) / stage.name), ""

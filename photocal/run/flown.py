@@ -3,13 +3,12 @@
 import json
 import math
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from photocal.accuracy.discrepancies import check_laser, laser_finding
+from photocal.accuracy.discrepancies import check_laser
 from photocal.accuracy.maps import reference_system
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, InputMalformedError
@@ -17,7 +16,7 @@ from photocal.base.geopackage import changed_utc
 from photocal.base.progress import Progress
 from photocal.block.model import Block
 from photocal.block.motion import velocity_of_neighbours
-from photocal.block.network import local_positions
+from photocal.block.network import positions_at
 from photocal.findings.texts import as_record
 from photocal.geometry.frames import LocalFrame
 from photocal.geometry.strips import lines_of_places, order_of_places, strips
@@ -34,6 +33,7 @@ from photocal.products.raster import describe, terrain_source
 from photocal.project import Project
 from photocal.report.derived_figures import NADIR_DEG
 from photocal.results.folder import read_result
+from photocal.results.result import common_values
 from photocal.run.stage import Stage, pictures_of
 
 
@@ -109,20 +109,13 @@ def measure_flown(
         hit, near = shots.station - lasers[:, None] * shots.rotation[:, 2], frame.to_local(points)
         if files.terrain is not None:
             near = _of_terrain(hit, model, frame, files.terrain, files.terrain_heights)
-        checked = check_laser(hit, lasers, near, _share_of_c(run))
-        found = laser_finding(checked, int(np.isfinite(lasers).sum()))
-        figures |= as_record([found])
+        figures |= as_record([check_laser(hit, lasers, near, _share_of_c(run))])
     figures |= {"control_by_strip": control, "held_by_positions": held_by_positions(model)}
     apart = None
     if run is not None:
-        result = read_result(run)
-        adjusted = {name: one.value for name, one in (result.mounting or {}).items()}
-        index = {name: k for k, name in enumerate(shots.names)}
-        place = np.array([index[model.images.names[k]] for k in model.positions.image], dtype=np.int64)
-        positions = replace(local_positions(model.positions, frame), image=place)
-        apart = position_differences(
-            shots.names, shots.rotation, shots.station, positions, model.mounting, adjusted
-        )
+        common = common_values(read_result(run).mounting, model.mounting.values)
+        observed = positions_at(model, frame, shots.names)
+        apart = position_differences(shots, observed, model.mounting, common)
         if apart is not None:
             figures["positions"] = apart.figures()
     if (plan := files.plan) is not None:

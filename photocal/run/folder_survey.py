@@ -55,7 +55,6 @@ _EITHER = "cp"
 _LOGS, _RAW_LOGS = (".mcap",), (".tlog", ".bin", ".ulg", ".ubx")
 _TABLES = (".csv", ".txt")
 _NO_TEXTS = (".xlsx", ".xls", ".ods", ".kml", ".kmz", ".shp", ".gpkg", ".dxf", ".gpx")
-_RINEX = (".obs", ".nav", ".rnx")
 # Who speaks of pictures does so at once.
 _HEAD_BYTES = 1 << 16
 Sizes = dict[str, tuple[int, int]]
@@ -94,7 +93,6 @@ class FolderContents:
     raw_logs: list[Path] = field(default_factory=list)
     events: list[Path] = field(default_factory=list)
     positions: list[Path] = field(default_factory=list)
-    rinex: list[Path] = field(default_factory=list)
     cams: dict[Path, tuple[Camera, ...]] = field(default_factory=dict)
     unread: list[str] = field(default_factory=list)
 
@@ -125,8 +123,6 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
             _with_cameras(path, sizes, seen)
         elif kind == ".mrk":
             seen.events.append(path)
-        elif kind in _RINEX or (len(kind) == 4 and kind[1:3].isdigit() and kind[3] in "ong"):
-            seen.rinex.append(path)
         elif kind in _TABLES and (placed := _placed(path, seen.pictures, seen.unread)) is not None:
             seen.positions.append(path)
             seen.pictures = placed

@@ -1,7 +1,7 @@
 """Laser distances of pictures as observations of a block: what each hit, and how rough that is."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,19 +32,9 @@ CODE = "laser-observations"
 MOST_SHOTS = 200
 # A point is known well by so many rays.
 _RAYS = 3
-
-
-@dataclass(frozen=True)
-class LaserTarget:
-    """Three points about the target of a laser, and the surface there.
-
-    corners: points of the network; distance_m: along the axis to the plane through them.
-    sigma_m: by which the surface departs from that plane.
-    """
-
-    corners: Integers
-    distance_m: float
-    sigma_m: float
+# Of what a laser hit: three points of the network about it, the distance along the axis to the plane through
+# them, and by how much the surface departs from that, m.
+LaserTarget = tuple[Integers, float, float]
 
 
 def with_lasers(block: Block, facts: Sequence[ImageFacts]) -> tuple[Block, Finding]:
@@ -75,7 +65,7 @@ def with_lasers(block: Block, facts: Sequence[ImageFacts]) -> tuple[Block, Findi
         return block, _too_few(len(hit))
     image = np.array([i for i, _ in hit])
     values = measured[image]
-    computed, rough = np.array([(target.distance_m, target.sigma_m) for _, target in hit]).T
+    computed, rough = np.array([along for _, (_, *along) in hit]).T
     if assembly.network.datum_points is not None and not len(block.relations.kind):
         # Without a scale of its own the block gets that of the laser.
         scale = float(np.median(values / computed))
@@ -88,7 +78,7 @@ def with_lasers(block: Block, facts: Sequence[ImageFacts]) -> tuple[Block, Findi
         return block, _too_few(len(kept))
     if len(kept) > MOST_SHOTS:
         kept = kept[np.linspace(0, len(kept) - 1, MOST_SHOTS).round().astype(np.int64)]
-    corners = assembly.points[np.array([hit[k][1].corners for k in kept])]
+    corners = assembly.points[np.array([hit[k][1][0] for k in kept])]
     common = (LASER_M, LASER_SHARE)
     lasers = LaserDistances(image[kept], corners, values[kept], sigma[kept], common)
     figures = {
@@ -155,4 +145,4 @@ def target_of(network: Network, state: State, image: int) -> LaserTarget | None:
     met = planes_ahead(q[corners][None])
     rough = np.hypot(SMOOTH_M, np.sqrt(np.sum(rest**2) / (NEIGHBOURS - 3)) / plane[0] ** 2)
     sigma = rough * np.sqrt(1.0 + np.sum(met.share[0] ** 2))
-    return LaserTarget(seen[corners], float(met.distance[0]), float(sigma))
+    return seen[corners], float(met.distance[0]), float(sigma)

@@ -22,20 +22,17 @@ _ON_MARKS = ("mark-off", "mark-left-out", "marks-apart", "control-off", "control
 
 def left_out(block: Block, chosen: Sequence[LeaveOutKeys]) -> tuple[Block, tuple[Finding, ...]]:
     """Take out what a person chose, and tie points that are then seen once; tell each with its reason."""
-    seen, points, images = block.observations, block.points.names, block.images.names
+    seen = block.observations
+    points, images = (np.array(part.names, dtype=object) for part in (block.points, block.images))
     ray, point, image = (np.zeros(len(part), dtype=np.bool_) for part in (seen.image, points, images))
     findings = []
     for entry in chosen:
-        here = np.ones(len(ray), dtype=np.bool_)
-        if entry.point is not None:
-            here &= np.array([name == entry.point for name in points], dtype=np.bool_)[seen.point]
-        if entry.image is not None:
-            here &= np.array([name == entry.image for name in images], dtype=np.bool_)[seen.image]
+        whole_point, whole_image = entry.image is None, entry.point is None
+        of_point, of_image = points == entry.point, images == entry.image
+        here = (of_point | whole_image)[seen.point] & (of_image | whole_point)[seen.image]
         ray |= here
-        if entry.image is None:
-            point |= np.array([name == entry.point for name in points])
-        if entry.point is None:
-            image |= np.array([name == entry.image for name in images])
+        point |= of_point & whole_point
+        image |= of_image & whole_image
         place = " / ".join(filter(None, (entry.point, entry.image)))
         figures = {"place": place, "rays": float(here.sum()), "reason": entry.reason}
         figures |= {"point": entry.point or "", "image": entry.image or ""}

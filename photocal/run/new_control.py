@@ -1,7 +1,7 @@
 """Control of a new project settled before any work: system, kind of heights, frame of the marks, slips."""
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from photocal.measurement.mark_frames import (
 from photocal.measurement.marks import ControlMarks, in_map_system, named_after, unit_m
 from photocal.measurement.place_tables import FOOT_M, SURVEY_FOOT_M
 from photocal.measurement.position_files import map_places
-from photocal.run.project_checks import FAR_FROM_PICTURES_M, check_place, unfit
+from photocal.run.project_checks import FAR_FROM_PICTURES_M, around, check_place, middle_of, unfit
 
 HEIGHTS = ("ellipsoidal", "orthometric", "local")
 
@@ -180,7 +180,7 @@ def _with_place(made: NewProject, given: ControlMarks | None, placed: Sequence[I
     """Name the slip of all points where they contradict the places of the pictures, which stops a run."""
     if not placed or given is None:
         return
-    place = (*_middle(placed), "the pictures' positions", FAR_FROM_PICTURES_M)
+    place = (*middle_of(placed), "the pictures' positions", FAR_FROM_PICTURES_M)
     try:
         check_place(made.crs or zone_of(placed), made.points, (given.file, Path("project.toml")), place)
     except ConfigurationError as slip:
@@ -239,7 +239,9 @@ def _with_marks(
             made.refused += [say("new.mark_fraction", **_names(mark)) for mark in here.values()]
             here = {}
         else:
-            made.frame = _frame(made, found, useful=_useful(here.values()))
+            # Some point has marks in two pictures, so that it can have a place.
+            useful = max(Counter(mark.point for mark in here.values()).values()) > 1
+            made.frame = _frame(made, found, useful=useful)
     stored = made.frame.stored(list(here.values()), pictures)
     kept = tuple(mark for mark in stored if inside(mark, pictures[mark.image].size_px))
     made.refused += [
@@ -255,11 +257,6 @@ def _with_marks(
 
 def _names(mark: Mark) -> dict[str, object]:
     return {"place": mark.place, "point": mark.point, "image": mark.image}
-
-
-def _useful(marks: Iterable[Mark]) -> bool:
-    """Whether some point has marks in two pictures, so that it can have a place."""
-    return max(Counter(mark.point for mark in marks).values(), default=0) > 1
 
 
 def _frame(made: NewProject, choice: FrameChoice, *, useful: bool) -> MarkFrame:
@@ -314,7 +311,7 @@ def _with_system(made: NewProject, written: str, placed: Sequence[ImageFacts], *
     elif placed:
         made.crs = _system_of(points, placed)
         if not made.crs:
-            offers = at_place(*_middle(placed), points.values[:, :2])
+            offers = at_place(*middle_of(placed), points.values[:, :2])
             told = _offered(offers, say) or say("new.crs_such", crs=zone_of(placed))
             made.asked.append(say("new.crs_asked", offers=told, or_local=local))
     elif placeable:
@@ -396,7 +393,7 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
         made.known.append(say("new.crs_meant", text=text, system=offers[0]))
         return offers[0].code
     if placed and len(xy):
-        near = at_place(*_middle(placed), xy)
+        near = at_place(*middle_of(placed), xy)
         offers = tuple(system for system in offers if system in near) or near
     if not placeable:
         made.missing.append(say("new.crs_unknown_needless", text=text, offers=_offered(offers, say)))
@@ -466,10 +463,8 @@ def _with_geoid(made: NewProject, placed: Sequence[ImageFacts]) -> None:
     """Ask for the system of orthometric heights that precise positions are compared with, or for its grid."""
     if not placed:
         return
-    latitude, longitude = _middle(placed)
-    # Around a place, deg: grids are looked up there.
-    around = 0.2
-    area = (longitude - around, latitude - around, longitude + around, latitude + around)
+    latitude, longitude = middle_of(placed)
+    area = around(latitude, longitude)
     say, without = made.say, made.say("new.without_grid")
 
     def grid(crs: str) -> str:
@@ -493,16 +488,11 @@ def _with_geoid(made: NewProject, placed: Sequence[ImageFacts]) -> None:
     made.crs = ""
 
 
-def _middle(placed: Sequence[ImageFacts]) -> tuple[float, float]:
-    latitude, longitude = np.median([(image.latitude_deg, image.longitude_deg) for image in placed], axis=0)
-    return float(latitude), float(longitude)
-
-
 def _turned(places: Floats, placed: Sequence[ImageFacts]) -> bool | None:
     """Whether degrees near the pictures have latitude first; None for what is not near either way."""
     # A site is narrower, deg.
     near_deg = 0.2
-    latitude, longitude = _middle(placed)
+    latitude, longitude = middle_of(placed)
     away = [
         np.abs(np.median(places, axis=0) - at).max() for at in ((longitude, latitude), (latitude, longitude))
     ]

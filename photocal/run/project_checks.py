@@ -6,7 +6,7 @@ are tried one by one: the one that makes them agree is named.
 """
 
 import datetime as dt
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -79,7 +79,7 @@ def _check_frame(project: Project, control: ObjectPoints, place: Place | None) -
     except ConfigurationError as refusal:
         raise ConfigurationError(refusal.what, refusal.remedy, where=project.path) from refusal
     except InputMalformedError as refusal:
-        lacks = missing_grids(project.crs, _around(place) if place is not None else None)
+        lacks = missing_grids(project.crs, around(*place[:2]) if place is not None else None)
         if not lacks:
             raise
         level = project.crs.split("+")[0]
@@ -90,10 +90,16 @@ def _check_frame(project: Project, control: ObjectPoints, place: Place | None) -
         ) from refusal
 
 
-def _around(place: Place) -> tuple[float, float, float, float]:
-    # Grids are looked up so far around a place, deg.
-    around_deg = 0.2
-    return place[1] - around_deg, place[0] - around_deg, place[1] + around_deg, place[0] + around_deg
+def around(latitude: float, longitude: float) -> tuple[float, float, float, float]:
+    """West, south, east and north of the area about a place in which grids are looked up, deg."""
+    far_deg = 0.2
+    return longitude - far_deg, latitude - far_deg, longitude + far_deg, latitude + far_deg
+
+
+def middle_of(placed: Sequence[ImageFacts]) -> tuple[float, float]:
+    """Latitude and longitude of the middle of pictures that state their places, deg."""
+    latitude, longitude = np.median([(image.latitude_deg, image.longitude_deg) for image in placed], axis=0)
+    return float(latitude), float(longitude)
 
 
 def _with_heights(crs: str, place: Place | None) -> str:
@@ -130,8 +136,7 @@ def _place(project: Project) -> Place | None:
     placed = [facts for facts in facts_of_pictures(project) if facts.has_position]
     if not placed:
         return None
-    middle = np.median([(facts.latitude_deg, facts.longitude_deg) for facts in placed], axis=0)
-    return float(middle[0]), float(middle[1]), "the pictures' positions", FAR_FROM_PICTURES_M
+    return *middle_of(placed), "the pictures' positions", FAR_FROM_PICTURES_M
 
 
 def picture_places(project: Project) -> Floats:

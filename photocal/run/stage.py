@@ -19,6 +19,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, TextIO
 
 from photocal.adjustment.ledger import ledger
+from photocal.base.codec import kept_json
 from photocal.base.console import printable
 from photocal.base.errors import InputNotFoundError, OutputError
 from photocal.base.files import digest, filled, output_file, refusals, write_json
@@ -52,7 +53,7 @@ class Digests:
 
     def __init__(self, memory: Path, *, again: bool = False) -> None:
         self._memory = memory
-        self._known: dict[str, list[str | int]] = {} if again else _kept(memory)
+        self._known: dict[str, list[str | int]] = {} if again else kept_json(memory)
 
     def of_file(self, path: Path) -> str:
         """Give the digest of a file."""
@@ -62,15 +63,14 @@ class Digests:
         # The time of the change of its entry cannot be set back by those who set back that of its content.
         hint = [state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino]
         match self._known.get(name) if large else None:
-            case [*remembered, str(digest)] if remembered == hint:
-                return digest
-        with path.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+            case [*remembered, str(found)] if remembered == hint:
+                return found
+        found = digest(path)
         # A file that changes twice within the clock's step keeps its times: so young ones are not remembered.
         young_ns = 2_000_000_000
         if large and time.time_ns() - max(state.st_mtime_ns, state.st_ctime_ns) > young_ns:
-            self._known[name] = [*hint, digest]
-        return digest
+            self._known[name] = [*hint, found]
+        return found
 
     def of_folder(self, folder: Path, leave_out: str = "") -> dict[str, str]:
         """Give the digests of all files of a folder by their path in it."""
@@ -88,15 +88,6 @@ class Digests:
         """Write the memory, where there is room: without it files are read again."""
         with suppress(OutputError), output_file(self._memory) as aside:
             write_json(aside, self._known, None)
-
-
-def _kept(path: Path) -> dict[str, Any]:
-    """What an earlier run wrote as JSON; nothing where it is not there or damaged."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return content if isinstance(content, dict) else {}
 
 
 @contextmanager
@@ -128,7 +119,7 @@ def sweep(folder: Path) -> None:
 def publish(made: Path, public: Path, record: Path) -> tuple[str, ...]:
     """Bring the public copy of a stage's files up to date; what the stages have not written stays."""
     new = {path.relative_to(made).as_posix(): _digest(path) for path in _files(made) if path != made / RECORD}
-    known = _kept(record).items()
+    known = kept_json(record).items()
     owned = {name: list(map(str, digests)) for name, digests in known if isinstance(digests, list)}
     with refusals(public, _REMEDY):
         # A run that is killed from here on knows both its old and its new files.
@@ -391,7 +382,7 @@ def update_stage(
 
 def last_seconds(stage: Stage, work: Path) -> float:
     """What a stage took when it was made last, 0 for one that never was."""
-    return float(_kept(made_in(work) / stage.name / RECORD).get("seconds", 0.0))
+    return float(kept_json(made_in(work) / stage.name / RECORD).get("seconds", 0.0))
 
 
 def foreseen(stages: Iterable[Stage], work: Path, digests: Digests, again: str | None = None) -> set[str]:
@@ -448,7 +439,7 @@ def _made(
 
 def _standing(folder: Path, key: str, digests: Digests) -> dict[str, Any] | None:
     """Record of a stage that was made from the same, and whose files are as it wrote them."""
-    record = _kept(folder / RECORD)
+    record = kept_json(folder / RECORD)
     same = record.get("key") == key
     return record if same and digests.of_folder(folder, leave_out=RECORD) == record.get("outputs") else None
 

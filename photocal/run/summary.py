@@ -18,7 +18,6 @@ from photocal.findings.verdict import (
     Verdict,
     by_methods,
     held_and_contradicted,
-    judge,
     read_verdict,
     verdict_json,
     verdict_text,
@@ -28,7 +27,7 @@ from photocal.hypotheses.table import FAULTS, Fault, fault, searched
 from photocal.measurement.maker_camera import tag_finding
 from photocal.navigation.ppk_figures import FIGURES as PPK
 from photocal.navigation.ppk_figures import PpkFigures
-from photocal.report.certificate import known_of, tested
+from photocal.report.certificate import judged, tested
 from photocal.report.stored_analysis import AnalysedRun, read_run
 from photocal.results.folder import RESULT, changed_inputs, read_result
 from photocal.results.result import Result
@@ -62,14 +61,10 @@ def gather(work: Path, stages: Container[str] | None = None) -> tuple[Finding, .
             # The same search on the same block, which the check has told.
             found = (finding for finding in found if not searched(finding.code))
         add_new(listed, found, stage)
-        sought = sought or (stage == "georeferencing" and _has_sought(path))
+        # A check looked for causes, rather than had no hold for them.
+        sought |= stage == "georeferencing" and bool((read_json(path) or {}).get("systematic_errors"))
     ppk = work / "ppk" / PPK
     return causes_first(settled(listed), PpkFigures.read(ppk).fixed_percent if ppk.is_file() else 100.0)
-
-
-def _has_sought(path: Path) -> bool:
-    """Whether a check looked for causes, rather than had no hold for them."""
-    return bool((read_json(path) or {}).get("systematic_errors"))
 
 
 def add_new(listed: list[Finding], findings: Iterable[Finding], stage: str) -> None:
@@ -111,7 +106,7 @@ def project_verdict(work: Path, stages: Container[str] | None = None) -> Verdict
     if not (run / RESULT).is_file():
         return None
     result, findings = read_result(run), gather(work, stages)
-    return judge((*findings, tested(result, findings)), known_of(result))
+    return judged(result, (*findings, tested(result, findings)))
 
 
 def project_findings(work: Path) -> tuple[Finding, ...]:
@@ -256,7 +251,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
     ppk = PpkFigures.read(flown).record if "ppk" in done and flown.is_file() else None
     exposures = ExposureFigures.read(seen) if "exposures" in done and seen.is_file() else None
     check, control = figures("georeferencing", "check.json"), figures("control", CONTROL)
-    judged = check and (check["methods"].get("integrated") or {}).get("assessment")
+    assessed = check and (check["methods"].get("integrated") or {}).get("assessment")
     adjusted = next((stage for stage in ("analysis", "calibration") if stage in done), None)
     final = project_verdict(work, done)
     return {
@@ -279,7 +274,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
         "calibration": None if adjusted is None else _calibration(read_run(work / adjusted)),
         "check_points": None if check is None else _check_points(check),
         # Judgement of the integrated method, which is the product.
-        "classes": None if check is None else judged["standards"] if judged else [],
+        "classes": None if check is None else assessed["standards"] if assessed else [],
         "warnings": [{"kind": kind(finding), **finding_json(finding, say)} for finding in gather(work, done)],
         "verdict": None if final is None else verdict_json(final, say),
         "certificate": str(work / "certificate") if "certificate" in done else None,

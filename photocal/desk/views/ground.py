@@ -3,62 +3,52 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from photocal.base.errors import InputNotFoundError, PhotocalError
 from photocal.desk.views.shown import Shown
 
+if TYPE_CHECKING:
+    from photocal.products.raster import RasterFile
+
 TILE_PX = 512
 _MOST_FILES = 200
 
 
-@dataclass(frozen=True)
-class Ground:
-    """An orthophoto with north up and square cells, in the system of the map.
-
-    corner: west and north of its first cell, m.
-    size: columns and rows.
-    """
-
-    path: Path
-    corner: tuple[float, float]
-    cell_m: float
-    size: tuple[int, int]
-
-    @property
-    def levels(self) -> int:
-        """Halvings until all of it is one tile."""
-        return max(0, (max(self.size) - 1) // TILE_PX).bit_length()
-
-    def told(self, name: str) -> dict[str, Any]:
-        """What the map has to know to ask for tiles."""
-        place = {"corner": list(self.corner), "cell_m": self.cell_m, "size": list(self.size)}
-        return {"name": name, **place, "levels": self.levels, "tile_px": TILE_PX}
+def _levels(ground: RasterFile) -> int:
+    """Halvings until all of it is one tile."""
+    return ((max(ground.columns, ground.rows) - 1) // TILE_PX).bit_length()
 
 
-def ground_of(shown: Shown, folder: Path) -> Ground | None:
+def ground_told(ground: RasterFile, name: str) -> dict[str, Any]:
+    """What the map has to know of an orthophoto to ask for its tiles."""
+    cell, _, west, *_, north = ground.transform
+    place = {"corner": [west, north], "cell_m": cell, "size": [ground.columns, ground.rows]}
+    return {"name": name, **place, "levels": _levels(ground), "tile_px": TILE_PX}
+
+
+def ground_of(shown: Shown, folder: Path) -> RasterFile | None:
     """Find the newest orthophoto in a project's folder and one below that lies where the stations are."""
     found = chain.from_iterable(folder.glob(f"{depth}*.tif*") for depth in ("", "*/", "*/*/"))
     inside = [path for path in found if path.is_file() and path.resolve().is_relative_to(folder.resolve())]
     for path in sorted(inside[:_MOST_FILES], key=lambda path: path.stat().st_mtime, reverse=True):
         with suppress(PhotocalError):
-            if (ground := _ground(shown, path)) is not None:
+            if (ground := _beneath(shown, path)) is not None:
                 return ground
     return None
 
 
-def _ground(shown: Shown, path: Path) -> Ground | None:
-    """One file as an orthophoto of this block; None where it is something else."""
+def _beneath(shown: Shown, path: Path) -> RasterFile | None:
+    """One file as an orthophoto of this block, north up with square cells; None for something else."""
     from photocal.products.raster import describe, same_system, system_wkt
 
     raster, block = describe(path), shown.block
-    a, b, west, d, e, north = raster.transform
+    a, b, _, d, e, _ = raster.transform
     # What has no place, is turned, or has heights in its cells lies under no map.
     if raster.dtype not in ("uint8", "uint16") or b or d or not np.isclose(a, -e) or not shown.in_metres:
         return None
@@ -67,11 +57,10 @@ def _ground(shown: Shown, path: Path) -> Ground | None:
         return None
     x, y = np.median(shown.on_map(shown.result.images.station)[:, :2], axis=0)
     left, low, right, high = raster.bounds
-    here = left <= x <= right and low <= y <= high
-    return Ground(path, (west, north), a, (raster.columns, raster.rows)) if here else None
+    return raster if left <= x <= right and low <= y <= high else None
 
 
-def ground_tile(ground: Ground, level: int, column: int, row: int) -> bytes:
+def ground_tile(ground: RasterFile, level: int, column: int, row: int) -> bytes:
     """Make a tile as PNG: each of its pixels is 2^level by 2^level cells; clear where nothing was seen.
 
     raises InputNotFoundError: beyond the orthophoto.
@@ -84,8 +73,13 @@ def ground_tile(ground: Ground, level: int, column: int, row: int) -> bytes:
     from photocal.products.raster import opened
 
     side = TILE_PX << max(level, 0)
-    first, size = (column * side, row * side), ground.size
-    if not 0 <= level <= ground.levels or min(column, row) < 0 or first[0] >= size[0] or first[1] >= size[1]:
+    first, size = (column * side, row * side), (ground.columns, ground.rows)
+    if (
+        not 0 <= level <= _levels(ground)
+        or min(column, row) < 0
+        or first[0] >= size[0]
+        or first[1] >= size[1]
+    ):
         raise InputNotFoundError("has no such tile", "choose another place", where=ground.path)
     wide, high = (min(side, size[k] - first[k]) for k in (0, 1))
     shape = (-(-high >> level), -(-wide >> level))

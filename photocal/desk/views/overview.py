@@ -7,17 +7,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from photocal.adjustment.ellipses import ellipses, ellipsoids
-from photocal.adjustment.mounting import BORESIGHT, antennas, body_to_camera
+from photocal.adjustment.mounting import antennas, body_to_camera
 from photocal.base.arrays import Floats, Integers
 from photocal.base.policy import policy
 from photocal.block.model import ROLES
-from photocal.block.network import local_positions
+from photocal.block.network import positions_at
 from photocal.desk.views.shown import Shown, numbers
 from photocal.findings.finding import Finding
 from photocal.findings.texts import PARAMETERS as PARAMETER_FIGURES
@@ -26,6 +25,7 @@ from photocal.findings.verdict import VerdictLine, alike_findings, every_line, h
 from photocal.geometry.camera import PARAMETERS
 from photocal.navigation.exposures import Exposures
 from photocal.planning.flown import BORDER, GroundCells, cells_seen, level_ground
+from photocal.results.result import common_values
 from photocal.run.exposures import EXPOSURES
 from photocal.run.summary import project_findings, project_verdict
 
@@ -52,7 +52,8 @@ def _images(shown: Shown) -> dict[str, Any]:
     images = shown.result.images
     count, rms = shown.result.residuals.rms()
     camera = [shown.result.cameras[images.cameras[k].id] for k in images.camera]
-    pitch = np.array([c.pitch for c in camera]).reshape(-1, 2) if _in_mm(shown) else 1.0
+    in_mm = shown.result.block.observation_unit == "mm"
+    pitch = np.array([c.pitch for c in camera]).reshape(-1, 2) if in_mm else 1.0
     place = shown.on_map(images.station)
     covariance = shown.covariance_on_map(images.station, images.covariances[:, 3:, 3:])
     residual, sigma, strip = position_residuals(shown)
@@ -73,10 +74,6 @@ def _images(shown: Shown) -> dict[str, Any]:
     }
 
 
-def _in_mm(shown: Shown) -> bool:
-    return shown.result.block.observation_unit == "mm"
-
-
 def _spread(covariance: Floats) -> dict[str, Any]:
     """Ellipse in the plane, ellipsoid, and the standard deviation in height."""
     known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
@@ -91,21 +88,14 @@ def _spread(covariance: Floats) -> dict[str, Any]:
 
 def footprints(shown: Shown) -> Floats:
     """Corners and side middles of each image on the middle height of the points, (n, 8, 2); NaN beyond."""
-    local = shown.images
-    level = _level(shown)
-    rays = local.directions(BORDER)
-    drop = (local.station[:, 2] - level)[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ground = local.station[:, None, :2] + rays[..., :2] / -rays[..., 2:] * drop[..., None]
+    local, level = shown.images, _level(shown)
+    places = local.on_level(BORDER, level)
+    away = np.linalg.norm(places[..., :2] - local.station[:, None, :2], axis=2)
     # Beyond so many heights an oblique image has no footprint worth drawing.
     farthest = 4.0
-    far = np.linalg.norm(ground - local.station[:, None, :2], axis=2) > farthest * np.abs(drop)
-    bad = (far | (rays[..., 2] >= 0)).any(axis=1) | ~np.isfinite(ground).all(axis=(1, 2))
-    places = np.concatenate([ground, np.full((*ground.shape[:2], 1), level)], axis=2)
-    places[bad] = np.nan
-    flat = np.nan_to_num(places.reshape(-1, 3))
-    given = shown.on_map(shown.frame.to_given(flat)).reshape(places.shape)
-    return np.where(bad[:, None, None], np.nan, given[..., :2])
+    near = (away <= farthest * (local.station[:, None, 2] - level)).all(axis=1)
+    given = shown.on_map(shown.frame.to_given(np.nan_to_num(places.reshape(-1, 3)))).reshape(places.shape)
+    return np.where(near[:, None, None], given[..., :2], np.nan)
 
 
 def _level(shown: Shown) -> float:
@@ -119,24 +109,18 @@ def position_residuals(shown: Shown) -> tuple[Floats, Floats, Integers]:
     returns residual, sigma (images, 3): NaN without an observed position; sigma as it was stated.
     returns strip (images,): 0 where no strip is known.
     """
-    block, mounting = shown.block, shown.result.mounting
-    count = len(shown.images)
-    residual, sigma = np.full((2, count, 3), np.nan)
-    strip = np.zeros(count, dtype=np.int64)
-    place = np.array([shown.image_rows.get(name, -1) for name in block.images.names], dtype=np.int64)
-    rows = np.flatnonzero(place[block.positions.image] >= 0)
-    if not len(rows) or mounting is None or block.heads:
+    block, images = shown.block, shown.images
+    residual, sigma = np.full((2, len(images), 3), np.nan)
+    strip = np.zeros(len(images), dtype=np.int64)
+    observed = positions_at(block, shown.frame, images.names)
+    if shown.result.mounting is None or block.heads:
         return residual, sigma, strip
-    observed = local_positions(block.positions.rows(rows), shown.frame)
-    image = place[observed.image]
-    values = np.array([entry.value for entry in mounting.values()])
-    values[BORESIGHT] = np.radians(values[BORESIGHT])
-    poses = shown.images.rotation[image], shown.images.station[image]
-    each = replace(observed, image=np.arange(len(image)))
-    computed = antennas(each, body_to_camera(block.mounting, values), values, *poses)
-    residual[image] = computed - observed.values
-    sigma[image] = np.sqrt(np.diagonal(observed.covariance, axis1=1, axis2=2))
-    strip[image] = observed.strip
+    values = common_values(shown.result.mounting, block.mounting.values)
+    matrix = body_to_camera(block.mounting, values)
+    computed = antennas(observed, matrix, values, images.rotation, images.station)
+    residual[observed.image] = computed - observed.values
+    sigma[observed.image] = np.sqrt(np.diagonal(observed.covariance, axis1=1, axis2=2))
+    strip[observed.image] = observed.strip
     return residual, sigma, strip
 
 
@@ -158,8 +142,7 @@ def _points(shown: Shown) -> dict[str, Any]:
     """Control and check points: adjusted places, and adjusted minus surveyed coordinates."""
     points, surveyed = shown.result.points, shown.block.points
     rows = [k for k, role in enumerate(points.role) if role != "tie"]
-    given = {name: k for k, name in enumerate(surveyed.names)}
-    at = [given.get(points.names[k], -1) for k in rows]
+    at = [shown.surveyed.get(points.names[k], -1) for k in rows]
     values = points.values[rows]
     known = np.vstack([surveyed.values, np.full(3, np.nan)])[at]
     place, survey = shown.on_map(values), shown.on_map(np.nan_to_num(known))
@@ -311,11 +294,8 @@ def _names(finding: Finding) -> Iterator[tuple[str, str]]:
     """What a finding names, with the key of the figure; none for its subject."""
     yield "", finding.subject
     for key, value in finding.figures.items():
-        yield from ((key, str(each)) for each in ([value] if isinstance(value, str) else _listed(value)))
-
-
-def _listed(value: Any) -> Iterable[Any]:
-    return value if isinstance(value, tuple | list) else ()
+        named = (value,) if isinstance(value, str) else value if isinstance(value, tuple | list) else ()
+        yield from ((key, str(each)) for each in named)
 
 
 def _is_point(name: str, shown: Shown) -> bool:

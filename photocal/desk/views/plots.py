@@ -9,7 +9,7 @@ from scipy.special import ndtr
 
 from photocal.base.arrays import Floats
 from photocal.desk.views.shown import Shown, numbers
-from photocal.geometry.camera import Camera
+from photocal.geometry.camera import Camera, plane_to_pixel
 from photocal.report.sensor import SensorResiduals, farthest_corner, radial_profile, thinned, to_plane
 from photocal.results.plot import displacement
 
@@ -96,8 +96,7 @@ def _vectors(camera: Camera, rays: SensorResiduals) -> list[list[float]]:
 
 def _pixels(camera: Camera, plane: Floats) -> Floats:
     """Columns and rows of places in the image plane."""
-    half = (np.array(camera.size_px) - 1) / 2
-    return np.asarray(plane / np.array(camera.pitch) * [1.0, -1.0] + half)
+    return plane_to_pixel(camera.size_px, camera.pitch, plane)
 
 
 def _distortion(camera: Camera) -> dict[str, Any]:
@@ -105,13 +104,13 @@ def _distortion(camera: Camera) -> dict[str, Any]:
     plane, moved = displacement(camera)
     pitch = float(np.mean(camera.pitch))
     radius = np.linspace(0.0, farthest_corner(camera), 60)
-    profile = radial_profile(camera, radius)
+    _, displaced, sigma, decentring = (radial_profile(camera, radius) / pitch).T
     return {
         "grid": numbers(np.column_stack([_pixels(camera, plane), moved / camera.pitch * [1.0, -1.0]]), 3),
         "radius_px": numbers(radius / pitch, 1),
-        "radial_px": numbers(profile.displacement / pitch, 4),
-        "sigma_px": numbers(profile.sigma / pitch, 5),
-        "decentring_px": numbers(profile.decentering / pitch, 4),
+        "radial_px": numbers(displaced, 4),
+        "sigma_px": numbers(sigma, 5),
+        "decentring_px": numbers(decentring, 4),
         "principal_px": numbers(_pixels(camera, np.array([camera.value("x0"), camera.value("y0")])), 2),
     }
 

@@ -6,14 +6,14 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.base.web import checked
 from photocal.desk.session import Desk
 from photocal.desk.tiles import Pictures
 from photocal.desk.views import overview, pictures
-from photocal.desk.views.ground import Ground, ground_of, ground_tile
+from photocal.desk.views.ground import ground_of, ground_tile, ground_told
 from photocal.desk.views.plots import plots
 from photocal.desk.views.shown import Shown, adjusted_in, read_shown
 from photocal.findings.texts import LANGUAGES, catalogue
@@ -23,6 +23,9 @@ from photocal.results.folder import RESULT
 from photocal.run.block import FINDINGS
 from photocal.run.left_out import leave_out, take_back
 from photocal.run.summary import read_json
+
+if TYPE_CHECKING:
+    from photocal.products.raster import RasterFile
 
 Made = TypeVar("Made")
 
@@ -39,7 +42,7 @@ class Look:
         self._state: object = None
         self._shown: Shown | None = None
         self._views: dict[object, Any] = {}
-        self._ground: Ground | None = None
+        self._ground: RasterFile | None = None
 
     def shown(self) -> Shown:
         """Give what the last run left; raises InputNotFoundError before one."""
@@ -83,7 +86,7 @@ class Look:
         self._ground = ground = ground_of(self.shown(), self._desk.folder)
         return {
             **made,
-            "ground": None if ground is None else ground.told(self._desk.named(ground.path)),
+            "ground": None if ground is None else ground_told(ground, self._desk.named(ground.path)),
             "origin": self.view("origin", overview.origin).tolist(),
             "pictures": {name: not picture.reason for name, picture in known.items()},
             "coarsest": {name: coarsest_level(picture.size_px) for name, picture in known.items()},

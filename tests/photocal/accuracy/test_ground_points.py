@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from photocal.accuracy.ground_points import (
-    GroundPoints,
     check_points_used_as_control,
     control_in_few_images,
     feet_for_metres,
@@ -14,6 +13,7 @@ from photocal.accuracy.ground_points import (
     latitude_longitude_swapped,
     wrong_utm_zone,
 )
+from photocal.block.model import ObjectPoints
 from photocal.findings.finding import Finding
 from tests.photocal.findings.english import english
 
@@ -27,8 +27,8 @@ OFFSETS = np.array(
 NAMES = tuple(f"P{number}" for number in range(1, 7))
 
 
-def points(offsets: FloatArray = OFFSETS, names: tuple[str, ...] = NAMES) -> GroundPoints:
-    return GroundPoints(names, CENTRE + offsets)
+def points(offsets: FloatArray = OFFSETS, names: tuple[str, ...] = NAMES) -> ObjectPoints:
+    return ObjectPoints(names, CENTRE + offsets)
 
 
 def exposures_deg() -> FloatArray:
@@ -60,7 +60,7 @@ def test_independent_check_points_raise_nothing() -> None:
 
 def test_heights_of_zero_everywhere() -> None:
     table = points()
-    flat = GroundPoints(table.names, table.xyz_m * [1.0, 1.0, 0.0])
+    flat = ObjectPoints(table.names, table.values * [1.0, 1.0, 0.0])
     found = heights_all_equal(flat, "control")
     assert codes(found) == ["heights-equal"]
     assert "Z = 0" in english(found[0])
@@ -69,7 +69,7 @@ def test_heights_of_zero_everywhere() -> None:
 
 def test_heights_that_are_missing_are_not_heights_of_zero() -> None:
     table = points()
-    assert heights_all_equal(GroundPoints(table.names, table.xyz_m * [1.0, 1.0, np.nan]), "control") == ()
+    assert heights_all_equal(ObjectPoints(table.names, table.values * [1.0, 1.0, np.nan]), "control") == ()
 
 
 def test_swapped_latitude_and_longitude_near_the_flight() -> None:
@@ -99,7 +99,7 @@ def test_impossible_latitude_needs_no_flight() -> None:
 def test_feet_for_metres(factors: tuple[float, float, float], expected: list[str]) -> None:
     block = points()
     noise = np.random.default_rng(3).normal(0.0, 0.05, OFFSETS.shape)
-    surveyed = GroundPoints(NAMES, block.xyz_m * factors + noise)
+    surveyed = ObjectPoints(NAMES, block.values * factors + noise)
     assert codes(feet_for_metres(surveyed, block)) == expected
 
 
@@ -126,13 +126,13 @@ def test_wrong_utm_zone(zone: int, southern: bool, expected: list[str]) -> None:
 
 def test_a_flight_over_the_date_line_is_in_its_zone() -> None:
     """Zone 1 begins at 180 degrees: 10 km east of it, at 17.8 degrees south."""
-    place = GroundPoints(("A",), np.array([[182_100.0, 8_029_700.0, 5.0]]))
+    place = ObjectPoints(("A",), np.array([[182_100.0, 8_029_700.0, 5.0]]))
     exposures = np.array([[-17.8, 179.999], [-17.8, -179.999]])
     assert wrong_utm_zone(place, 1, southern=True, exposures_deg=exposures) == ()
 
 
 def test_points_of_another_country_are_no_wrong_zone() -> None:
-    elsewhere = GroundPoints(NAMES, points().xyz_m - np.array([0.0, 2_000_000.0, 0.0]))
+    elsewhere = ObjectPoints(NAMES, points().values - np.array([0.0, 2_000_000.0, 0.0]))
     found = wrong_utm_zone(elsewhere, 22, southern=True, exposures_deg=exposures_deg())
     assert codes(found) == ["points-far-from-flight"]
 

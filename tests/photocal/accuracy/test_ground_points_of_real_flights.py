@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from photocal.accuracy.ground_points import (
-    GroundPoints,
     control_in_few_images,
     geodesic_m,
     heights_all_equal,
     latitude_longitude_swapped,
     wrong_utm_zone,
 )
+from photocal.block.model import ObjectPoints
 from tests.photocal.findings.english import english
 
 FloatArray = NDArray[np.float64]
@@ -46,8 +46,8 @@ def survey(helenenschacht: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(text.splitlines(), delimiter=";"))
 
 
-def utm(survey: list[dict[str, str]]) -> GroundPoints:
-    return GroundPoints(
+def utm(survey: list[dict[str, str]]) -> ObjectPoints:
+    return ObjectPoints(
         tuple(row["Name"] for row in survey),
         np.array([[float(row[name]) for name in ("Easting", "Northing", "Elevation")] for row in survey]),
     )
@@ -64,7 +64,7 @@ def test_helenenschacht_is_sound(survey: list[dict[str, str]], exposures: FloatA
     # Both forms of the survey are the same places, to 4 cm: more than their digits would excuse (1 mm),
     # so one of them was not computed from the other on this ellipsoid and zone alone.
     east, north = Transformer.from_crs(4326, 32633).transform(latitude, longitude)
-    assert np.hypot(*(np.column_stack((east, north)) - utm(survey).xyz_m[:, :2]).T).max() < 0.04
+    assert np.hypot(*(np.column_stack((east, north)) - utm(survey).values[:, :2]).T).max() < 0.04
 
 
 def test_helenenschacht_with_planted_mistakes(survey: list[dict[str, str]], exposures: FloatArray) -> None:
@@ -116,7 +116,7 @@ def test_berlin_control(shared: Path) -> None:
         "latitude-longitude-swapped"
     ]
     assert geodesic_m(float(latitude[0]), float(longitude[0]), *flight[0].tolist()) < 200.0
-    heights = GroundPoints(
+    heights = ObjectPoints(
         tuple(point["id"] for point in placed),
         np.array([[0.0, 0.0, point["position"]["altitude"]] for point in placed]),
     )

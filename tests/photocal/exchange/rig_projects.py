@@ -151,7 +151,7 @@ def _ties(given: Block) -> Block:
 
 def write_colmap_text(folder: Path, given: Block) -> None:
     """A text model with rigs.txt and frames.txt, and a list of control."""
-    colmap.write_text(folder, _ties(given), Choices())
+    colmap.write_colmap(folder, _ties(given), Choices())
     _control_list(folder, given)
     turn, shift, image = _in_rig(given)
     rotation, translation = to_vision(given.images.values)

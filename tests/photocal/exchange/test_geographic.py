@@ -84,8 +84,8 @@ def test_geojson_and_kml(tmp_path: Path, vision: Block) -> None:
 def test_geopackage(tmp_path: Path, vision: Block, origin: GeodeticPlace | None) -> None:
     """Read with plain SQLite by the standard's layout (OGC 12-128r15, clause 2.1.3)."""
     path = tmp_path / "b.gpkg"
-    choices = Choices(changed_utc="2026-01-31T12:00:00.000Z", residuals_px=residuals_of(vision))
-    write_geopackage(path, vision, None if origin is None else topocentric(origin), choices)
+    made = "2026-01-31T12:00:00.000Z"
+    write_geopackage(path, vision, Choices(None, origin, made, residuals_of(vision)))
     with closing(sqlite3.connect(path)) as database:
         assert database.execute("PRAGMA application_id").fetchone()[0] == 0x47504B47
         assert database.execute("PRAGMA foreign_key_check").fetchall() == []

@@ -10,7 +10,6 @@ from photocal.findings.finding import Finding, Severity, Size, of_global_test
 from photocal.findings.texts import catalogue, finding_json, finding_text, findings_of
 from photocal.findings.verdict import (
     MOST_LINES,
-    Known,
     every_line,
     headline,
     judge,
@@ -110,7 +109,7 @@ def test_each_sentence_of_a_verdict_stands_once() -> None:
 def test_alike_findings_are_one_line_with_their_neighbours() -> None:
     names = [f"DJI_20260314_{k:04d}" for k in (3, 572, 573, 574, 575, 580, 654)]
     given = [image(name, 1.2 + 0.05 * k) for k, name in enumerate(names)]
-    (line,) = judge(given, Known(images=581)).lines
+    (line,) = judge(given, images=581).lines
     text = line_text(line, EN)
     assert "7 of 581 images scatter 1.2 to 1.5 times" in text
     assert "the worst DJI_20260314_0654" in text
@@ -163,10 +162,10 @@ def test_what_only_a_carried_camera_feels_does_not_touch_the_block() -> None:
 
 
 def test_a_free_block_is_calibrated_and_not_placed() -> None:
-    made = judge([], Known(placed=False))
+    made = judge([], placed=False)
     assert (made.block, made.camera) == ("not-placed", "yes")
     assert "not georeferenced" in headline(made, EN)
-    assert judge([], Known(calibrated=False)).camera == "held"
+    assert judge([], calibrated=False).camera == "held"
 
 
 def test_effects_are_in_units_that_can_be_read() -> None:
@@ -185,7 +184,7 @@ def test_effects_are_in_units_that_can_be_read() -> None:
 def test_each_verdict_is_said_in_both_languages_and_read_back(language: str) -> None:
     say = catalogue(language)
     given = [image("a1", 1.3), image("a2", 1.6), Finding("lever-arm", "grave")]
-    made = judge(given, Known(12))
+    made = judge(given, 12)
     stored = verdict_json(made, say)
     assert verdict_json(read_verdict(stored, "here"), say) == stored
     assert [stored["paragraph"], *stored["said"]] == verdict_text(made, say)

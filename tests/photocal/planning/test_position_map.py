@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from photocal.adjustment.mounting import Positions
+from photocal.adjustment.mounting import TIME, Positions
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.mounting import make_mounting
 from photocal.block.setup import MountingKeys
+from photocal.geometry.oriented_images import OrientedImages
+from photocal.geometry.rotation import angles_from_matrix
 from photocal.planning.position_map import position_differences
 from photocal.results.adjusted import adjust_block
 from tests.photocal.conftest import Answer
@@ -46,7 +48,12 @@ def test_differences_are_what_was_put_in() -> None:
     )
     given = make_mounting(MountingKeys(lever_arm_m=(0.2, 0.0, -0.3)), 1)
     names = tuple(f"{k}" for k in range(8))
-    found = position_differences(names, rotation, station, positions, given, {"time_offset": 0.01})
+    common = given.values.copy()
+    common[TIME] = 0.01
+    images = OrientedImages(
+        names, (), np.zeros(8, np.int64), np.hstack([angles_from_matrix(rotation), station])
+    )
+    found = position_differences(images, positions, given, common)
     assert found is not None
     assert found.d_m == pytest.approx(error, abs=1e-9)
     assert found.figures()["mean_m"] == pytest.approx(error.mean(axis=0))

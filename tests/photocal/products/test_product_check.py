@@ -12,9 +12,9 @@ import rasterio  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from photocal.accuracy.assessment import assess
-from photocal.accuracy.ground_points import GroundPoints
 from photocal.accuracy.standard import Question, load_standard
 from photocal.base.errors import ConfigurationError
+from photocal.block.model import ObjectPoints
 from photocal.products.options import ProductOptions
 from photocal.products.product_check import check_products, read_check_points
 from photocal.products.raster import system_wkt, write_terrain
@@ -39,7 +39,7 @@ def with_moments(random: np.random.Generator, moments: tuple[tuple[float, float]
 
 @dataclass(frozen=True)
 class Products:
-    points: GroundPoints
+    points: ObjectPoints
     ortho: Path
     dtm: Path
     exact: Floats
@@ -78,7 +78,7 @@ def render(folder: Path, name: str) -> Products:
         cells[i - 2 : i + 3, j - 2 : j + 3] = h
     write_terrain(Terrain(cells, (2.0, 0, west, 0, -2.0, north), crs, "ellipsoidal"), folder / "dtm.tif")
     names = tuple(f"{n + 1:02d}" for n in range(30))
-    return Products(GroundPoints(names, enh), folder / "ortho.tif", folder / "dtm.tif", exact)
+    return Products(ObjectPoints(names, enh), folder / "ortho.tif", folder / "dtm.tif", exact)
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
@@ -112,11 +112,11 @@ def test_published_statistics_from_sampled_products(name: str, tmp_path: Path) -
 
 def test_what_a_product_does_not_show_is_said(tmp_path: Path) -> None:
     products = render(tmp_path, "gcp_8")
-    enh = products.points.xyz_m.copy()
+    enh = products.points.values.copy()
     enh[3, :2] += 12.0
     enh[7, :2] += 5000.0
     found = check_products(
-        GroundPoints(products.points.names, enh),
+        ObjectPoints(products.points.names, enh),
         ProductOptions(
             ortho=products.ortho,
             target_diameter=DIAMETER,
@@ -155,5 +155,5 @@ def test_check_points_are_read(tmp_path: Path) -> None:
     path.write_text("point,E,N,h\na,1,2,3\nb,4,5,\n", encoding="utf-8")
     found = read_check_points(path)
     assert found.names == ("a", "b")
-    assert found.xyz_m[0].tolist() == [1, 2, 3]
-    assert np.isnan(found.xyz_m[1, 2])
+    assert found.values[0].tolist() == [1, 2, 3]
+    assert np.isnan(found.values[1, 2])
