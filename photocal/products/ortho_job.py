@@ -217,9 +217,10 @@ def displacement_field(
     terrain: Terrain,
     frame: LocalFrame,
     grid: Grid,
-    arrows: int = 25,
 ) -> "Displacement":
-    """Displacement over a lattice of at most `arrows` points a side within a grid."""
+    """Displacement over a lattice within a grid."""
+    # At most so many points a side: more arrows hide each other.
+    arrows = 25
     step = max(grid.columns, grid.rows) * grid.cell / arrows
     x = np.arange(grid.west + step / 2, grid.west + grid.columns * grid.cell, step)
     y = np.arange(grid.north - step / 2, grid.north - grid.rows * grid.cell, -step)

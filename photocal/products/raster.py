@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
 from photocal.base.files import output_file
+from photocal.geometry.frames import level_of, system_of
 from photocal.products.terrain import HEIGHT_KINDS, Bounds, Terrain, Transform, bounds_of
 
 HEIGHT_TAG = "HEIGHT_KIND"
@@ -180,14 +181,9 @@ def system_wkt(name: str) -> str:
 
 def same_system(first: str, second: str) -> bool:
     """Whether two reference systems (WKT) have the same horizontal part."""
-    from pyproj import CRS
-
-    def horizontal(wkt: str) -> Any:
-        """The plane part of a system: heights are compared by their kind, not here."""
-        system = CRS.from_wkt(wkt)
-        return system.sub_crs_list[0] if system.is_compound else system.to_2d()
-
-    return bool(horizontal(first).equals(horizontal(second), ignore_axis_order=True))
+    # Heights are compared by their kind, not here.
+    one, other = (level_of(system_of(wkt)).to_2d() for wkt in (first, second))
+    return bool(one.equals(other, ignore_axis_order=True))
 
 
 @contextmanager

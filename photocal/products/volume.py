@@ -102,11 +102,12 @@ def measure_closed(points: RingPoints, shape: Shape) -> dict[str, Any]:
 
 def partial_volumes(tank: Tank, wall_thickness: float = 0.0) -> list[dict[str, float]]:
     """Volumes between neighbouring sections, by the end areas; levels above the lowest section."""
-    radius, height, covariance = _rings(tank, wall_thickness)
+    radius, height, covariance = tanks.shells(tank.sections, wall_thickness)
     parts = []
     for k in range(len(radius) - 1):
         made = volume_between_sections(radius[k : k + 2], height[k : k + 2], covariance[k : k + 2])
-        parts.append(_part(height[k] - height[0], height[k + 1] - height[0], made.value, made.sigma))
+        levels = height[k : k + 2] - height[0]
+        parts.append(_part(levels[0], levels[1], made["volume_m3"], made["sigma_m3"]))
     return parts
 
 
@@ -119,7 +120,7 @@ def filling_table(tank: Tank, step_m: float, wall_thickness: float = 0.0) -> lis
 
     raises ConfigurationError: for a step that cannot be, or a single section.
     """
-    radius, height, covariance = _rings(tank, wall_thickness)
+    radius, height, covariance = tanks.shells(tank.sections, wall_thickness)
     if len(radius) < 2:
         raise ConfigurationError("a filling table needs two sections", "measure another ring")
     whole = float(height[-1] - height[0])
@@ -130,12 +131,6 @@ def filling_table(tank: Tank, step_m: float, wall_thickness: float = 0.0) -> lis
         )
     levels = np.append(np.arange(step_m, whole * (1 - 1e-9), step_m), whole)
     return [_part(0.0, float(at), *_filled(radius, height, covariance, float(at))) for at in levels]
-
-
-def _rings(tank: Tank, wall_thickness: float) -> tuple[Floats, Floats, Floats]:
-    radius = np.array([ring.circle.radius for ring in tank.sections]) - wall_thickness
-    height = np.array([ring.height for ring in tank.sections])
-    return radius, height, np.array([ring.covariance for ring in tank.sections])
 
 
 def _filled(radius: Floats, height: Floats, covariance: Floats, level: float) -> tuple[float, float]:
@@ -302,8 +297,8 @@ def volume(sections: str | Path | None, options: VolumeOptions) -> Volume:
         raise ConfigurationError("--sigma, --plot, --filling and --wall-thickness need a table of sections")
     if height is not None:
         # The pairs were checked: with a height there are all four.
-        whole = tanks.cylinder_volume(radius or 0.0, radius_sigma or 0.0, height, options.height_sigma or 0.0)
-        figures["by_mean_radius"] = tanks.volume_json(whole)
+        lengths = (radius or 0.0, radius_sigma or 0.0, height, options.height_sigma or 0.0)
+        figures["by_mean_radius"] = tanks.cylinder_volume(*lengths)
     return Volume(figures)
 
 
