@@ -228,10 +228,10 @@ def _from_kml(text: str, where: str) -> list[tuple[float, float]]:
         root = fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as refusal:
         raise wrong(f"is not KML ({refusal})") from refusal
-    polygons = [element for element in root.iter() if _local(element.tag) == "Polygon"]
+    polygons = root.findall(".//{*}Polygon")
     if len(polygons) != 1:
         raise wrong(f"holds {len(polygons)} polygons, one is needed", "keep the polygon to be flown")
-    rings = [element for element in polygons[0].iter() if _local(element.tag) == "coordinates"]
+    rings = polygons[0].findall(".//{*}coordinates")
     if len(rings) != 1:
         raise wrong("is a polygon with holes or without corners", "keep the outer ring")
     try:
@@ -239,10 +239,6 @@ def _from_kml(text: str, where: str) -> list[tuple[float, float]]:
         return [(float(field[0]), float(field[1])) for field in fields]
     except (ValueError, IndexError) as refusal:
         raise wrong("has a corner that is not lon,lat") from refusal
-
-
-def _local(tag: object) -> str:
-    return str(tag).rpartition("}")[2]
 
 
 def _from_csv(text: str, where: str) -> list[tuple[float, float]]:
