@@ -15,7 +15,7 @@ from photocal.base.progress import Progress
 from photocal.base.text_tables import known_rows, read_table
 from photocal.base.workers import one_crew
 from photocal.block.folder import read_points
-from photocal.block.model import NO_POINTS, ROLES, Block, Images, ObjectPoints
+from photocal.block.model import NO_POINTS, ROLES, Block, ObjectPoints
 from photocal.block.network import OTHER_SURFACE_M, block_frame
 from photocal.block.rig import make_heads
 from photocal.findings.finding import Finding
@@ -31,6 +31,7 @@ from photocal.measurement.maker_camera import group_cameras, stated_camera, with
 from photocal.measurement.mark_frames import settle_marks
 from photocal.measurement.marks import (
     ControlMarks,
+    Sizes,
     in_map_system,
     named_after,
     read_any_marks,
@@ -48,7 +49,6 @@ from photocal.measurement.measurement_record import (
 )
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import orient_ties
-from photocal.measurement.patch_matching import ImageSource
 from photocal.measurement.picture_tests import judge_cameras
 from photocal.measurement.plain_targets import FoundTargets, targets_of_project
 from photocal.measurement.position_files import (
@@ -69,7 +69,6 @@ from photocal.project import Project
 
 # How far heads move (m) and turn (rad) on their frame while gross errors are sought.
 LOOSE_FRAME = 0.05, 0.002
-Sizes = Mapping[str, tuple[int, int]]
 NO_CONTROL = ControlMarks("", NO_POINTS, ())
 
 
@@ -117,7 +116,7 @@ class KnownPictures:
     project: its cameras are released in the end, and its targets sought. Without one the pictures state
         their cameras, and c, x0, y0 are held.
     camera_of, exposure_of: cameras of pictures, and what those of heads on one frame have in common.
-    starts, exposures: orientations from a flight log, to start from and to predict targets.
+    exposures: orientations from a flight log, to start from and to predict targets.
     """
 
     name: str
@@ -131,7 +130,6 @@ class KnownPictures:
     position_sigma: tuple[float, float, float] | None = POSITION_SIGMA_M
     camera_of: Mapping[str, int] = field(default_factory=dict)
     exposure_of: Mapping[str, str] = field(default_factory=dict)
-    starts: Images | None = None
     exposures: Orientation | None = None
 
 
@@ -195,21 +193,17 @@ def measure_project(
     if marks_files:
         sizes = {facts.name: facts.size_px for facts in each_picture(paths, read_facts)[0]}
         by_hand += tuple(mark for file in marks_files for mark in read_any_marks(file, sizes))
-    # What was observed of them stands elsewhere: in the block they are start values.
-    starts: Images | None = None
-    if exposures is not None:
-        starts = Images.observed(replace(exposures.images, covariance=None))
     if not project.cameras:
         raise ConfigurationError("the project has no [[camera]]", "add one: see docs/block-folder.md")
     camera_of, exposure_of = pictures_of_heads(project)
-    if starts is not None:
-        camera_of |= dict(zip(starts.names, starts.camera.tolist(), strict=True))
+    if exposures is not None:
+        camera_of |= dict(zip(exposures.images.names, exposures.images.camera.tolist(), strict=True))
     sigma = project.images.position_sigma_m
     known = KnownPictures(
         project.name,
         paths,
         better_known(project, [path.name for path in paths]),
-        stated_footprints if starts is None else partial(exposed_footprints, project, starts, points),
+        stated_footprints if exposures is None else partial(exposed_footprints, exposures, points),
         lambda _: ControlMarks(project.crs, points, tuple(by_hand)),
         project.height if project.crs != "local" else "",
         lambda *_: {"kind": "project"},
@@ -217,7 +211,6 @@ def measure_project(
         None if sigma == "free" else sigma or POSITION_SIGMA_M,
         camera_of,
         exposure_of,
-        starts,
         exposures,
     )
     return _measured(known, plan, progress)
@@ -235,7 +228,12 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     control, strays = _without_strays(control)
     start = _start(known, control, tracked.facts, given)
     lenses = [start.cameras[k] for k in start.images.camera]
-    targets = _targets(known, tracked.sources, lenses, control.points, plan, progress)
+    targets = FoundTargets()
+    if project is not None:
+        surveyed, workers = control.points, plan.processes
+        targets = targets_of_project(
+            project, tracked.sources, lenses, known.exposures, surveyed, workers, progress
+        )
     folder = {path.name: path for path in known.paths}
     settled, _, unused, settling = settle_marks(control.marks, control.points.names, tracked.facts, folder)
     block, _ = with_marks(start, (*settled, *targets.marks))
@@ -248,12 +246,12 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     block = _as_fitted(block, oriented.marked)
     final, measured, findings = oriented.adjusted, oriented.adjusted.block, list(oriented.findings)
     if project is not None:
-        holding = HOLDING if known.starts is None else ((),)
+        holding = HOLDING if known.exposures is None else ((),)
         open_lens = project.images.lens == "unknown"
         with progress("adjusting the cameras", None):
             final, measured, findings = with_released_cameras(oriented, block, holding, open_lens=open_lens)
         oriented = replace(oriented, adjusted=final, left_out=(*oriented.left_out, *final.left_out))
-        if known.starts is None:
+        if known.exposures is None:
             gimbal = {facts.name: facts.gimbal_deg for facts in tracked.facts}
             recorded = np.radians([gimbal[name] for name in measured.images.names])
             findings += pictures_turned(measured.images.names, final.values, recorded)
@@ -270,7 +268,7 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     else:
         names, members = tuple(camera.id for camera in given[0]), given[1]
     findings += judge_cameras(tracked.facts, names, members.tolist())
-    frame = None if project is None or known.starts is not None else project.images.position_frame
+    frame = None if project is None or known.exposures is not None else project.images.position_frame
     placed = next((facts for facts in tracked.facts if facts.has_position), None)
     if project is not None and frame is not None and placed is not None:
         findings.append(moved_finding(shift_of_positions(frame, project.crs, placed)))
@@ -281,7 +279,7 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
         **known.told(tracked, control),
         "marks": {"by_hand": len(control.marks), "targets": len(targets.marks), "used": used},
         "targets": targets.record,
-        "positions": positions if known.starts is None else None,
+        "positions": positions if known.exposures is None else None,
         "unknown_marks": [f"{m.point} in {m.image}" for m, _ in unused],
         "unknown_targets": list(targets.strangers),
         "suspected_marks": suspects,
@@ -334,11 +332,11 @@ def _start(
     given: tuple[tuple[Camera, ...], Integers] | None,
 ) -> Block:
     """The block that marks and tie points are added to."""
-    places, starts = np.full((len(facts), 3), np.nan), known.starts
+    places = np.full((len(facts), 3), np.nan)
     if not control.crs:
         return start_block(facts, local_places(facts)[0], known.name)
     # Where the images say they are; in a local system that says nothing.
-    if control.crs != "local" and starts is None:
+    if control.crs != "local" and known.exposures is None:
         places = map_places(facts, control.crs)
     block = start_block(facts, places, known.name, known.position_sigma, given)
     block = replace(
@@ -351,12 +349,10 @@ def _start(
     if known.project is None:
         return block
     images, cameras = block.images, block.cameras
-    if starts is not None:
-        place = {name: k for k, name in enumerate(starts.names)}
-        rows = np.array([place.get(image.name, -1) for image in facts])
-        oriented = (rows >= 0)[:, None]
-        values = np.where(oriented, starts.values[rows], np.nan)
-        images = replace(images, values=values, sigma=np.where(oriented, starts.sigma[rows], np.inf))
+    if known.exposures is not None:
+        # What was observed of them stands elsewhere: in the block they are start values.
+        oriented = known.exposures.images.named(images.names)
+        images = replace(images, values=oriented.values, sigma=np.full_like(images.sigma, np.inf))
     # The grid's axes are east and north but for its convergence.
     velocity = np.array([picture.velocity_m_s for picture in facts]).reshape(-1, 3)
     readout = np.array([camera.value("readout") for camera in cameras])[images.camera]
@@ -366,21 +362,6 @@ def _start(
         block,
         images=replace(images, motion=motion, motion_sigma=motion_sigma, exposure=exposure),
         heads=make_heads(known.project.contents.head, [own.id for own in cameras], known.project.path),
-    )
-
-
-def _targets(
-    known: KnownPictures,
-    sources: Sequence[ImageSource],
-    lenses: Sequence[Camera],
-    points: ObjectPoints,
-    plan: MatchingPlan,
-    progress: Progress,
-) -> FoundTargets:
-    if known.project is None:
-        return FoundTargets()
-    return targets_of_project(
-        known.project, sources, lenses, known.exposures, points, plan.processes, progress
     )
 
 

@@ -17,7 +17,7 @@ from photocal.base.workers import run_tasks
 from photocal.block.folder import read_block
 from photocal.measurement.features import Features, FeatureSettings, cached, detect
 from photocal.measurement.image_facts import read_facts
-from photocal.measurement.image_pairs import Footprints, footprints, select_pairs
+from photocal.measurement.image_pairs import footprints, select_pairs
 from photocal.measurement.match_images import (
     MatchingPlan,
     MatchSettings,
@@ -204,10 +204,10 @@ def test_pairs_grow_with_the_images_not_with_their_square() -> None:
 
 
 def test_pairs_without_exposures() -> None:
-    unknown = Footprints(np.full((5, 2), np.nan), np.full(5, np.nan))
+    unknown = (np.full((5, 2), np.nan), np.full(5, np.nan))
     pairs, rule = select_pairs(unknown, 5)
     assert (len(pairs), rule) == (10, "all")
-    many = Footprints(np.full((200, 2), np.nan), np.full(200, np.nan))
+    many = (np.full((200, 2), np.nan), np.full(200, np.nan))
     pairs, rule = select_pairs(many, 200)
     assert rule == "sequence"
     assert len(pairs) < 12 * 200
@@ -217,7 +217,7 @@ def test_one_image_without_a_position_takes_that_of_no_other() -> None:
     """A hundred in a row, one lost: it goes with all, the others with their neighbours as before."""
     centre = np.column_stack([np.arange(100) * 10.0, np.zeros(100)])
     centre[40] = np.nan
-    pairs, rule = select_pairs(Footprints(centre, np.full(100, 20.0)), 100)
+    pairs, rule = select_pairs((centre, np.full(100, 20.0)), 100)
     assert rule == "footprints"
     lost = (pairs == 40).any(axis=1)
     assert lost.sum() == 99
@@ -232,7 +232,7 @@ def test_an_oblique_view_looks_ahead() -> None:
         np.array([[4000.0, 3000]]),
         np.array([3000.0]),
     )
-    assert seen.centre[0] == pytest.approx([100.0, 0.0], abs=1e-9)
+    assert seen[0][0] == pytest.approx([100.0, 0.0], abs=1e-9)
 
 
 def test_cached_results_are_not_made_again_and_damage_is_repaired(tmp_path: Path) -> None:
