@@ -10,16 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from photocal.base.arrays import Columns, Flags, Floats, Integers
 from photocal.base.workers import Workers, run_tasks
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.measurement.features import Arrays, array_key, cached, combined_key
+from photocal.measurement.features import Arrays, Floats32, array_key, cached, combined_key
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.tracks import Tracks
-
-Floats32 = NDArray[np.float32]
 
 # Raised whenever the meaning of cached results changes.
 VERSION = 2

@@ -133,8 +133,9 @@ def expected_altimetric_accuracy(height_m: float, base_m: float, focal_m: float,
 
 
 def corner_precision(
-    frame: PlanningCamera, height_m: float, base_m: float, image_sigma_px: float, share: float = 0.95
+    frame: PlanningCamera, height_m: float, base_m: float, image_sigma_px: float
 ) -> ExpectedPrecision:
     """Expect the precision far out in the image, where it is worst."""
+    share = 0.95
     point = image_point(share * frame.columns, share * frame.rows, frame)
     return stereo_precision(height_m, base_m, frame.focal_m, point, image_sigma_px * frame.pixel_m)

@@ -20,7 +20,6 @@ from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_pairs import footprints, select_pairs
 from photocal.measurement.match_images import (
     MatchingPlan,
-    MatchSettings,
     detect_all,
     match,
     match_all,
@@ -79,7 +78,7 @@ def test_matches_follow_a_known_homography() -> None:
     move = np.array([[0.96, -0.2, 60], [0.2, 0.96, -40], [5e-5, 2e-5, 1.0]])
     moved = np.asarray(cv2.warpPerspective(texture, move, (700, 700)), np.uint8)
     first, second = (detect(image, FeatureSettings(most=1500)) for image in (texture, moved))
-    pairs = match(first, second, MatchSettings())
+    pairs = match(first, second)
     assert len(pairs) > 200
     there = np.column_stack([first.pixels[pairs[:, 0]], np.ones(len(pairs))]) @ move.T
     miss = np.hypot(*(there[:, :2] / there[:, 2:] - second.pixels[pairs[:, 1]]).T)
@@ -118,8 +117,8 @@ def test_narrowed_matching_finds_what_the_whole_finds() -> None:
     move = np.array([[0.96, -0.2, 60], [0.2, 0.96, -40], [5e-5, 2e-5, 1.0]])
     moved = np.asarray(cv2.warpPerspective(texture, move, (700, 700)), np.uint8)
     first, second = (detect(image, FeatureSettings(most=1500)) for image in (texture, moved))
-    whole = match(first, second, MatchSettings())
-    narrowed = match(first, second, MatchSettings(sketch=300))
+    whole = match(first, second)
+    narrowed = match(first, second, sketch=300)
     both = set(map(tuple, whole.tolist())) & set(map(tuple, narrowed.tolist()))
     assert len(both) > 0.97 * len(whole)
     there = np.column_stack([first.pixels[narrowed[:, 0]], np.ones(len(narrowed))]) @ move.T
@@ -129,7 +128,7 @@ def test_narrowed_matching_finds_what_the_whole_finds() -> None:
 
 def test_strangers_do_not_match() -> None:
     first, second = (detect(_texture(seed), FeatureSettings(most=1500)) for seed in (1, 2))
-    assert len(match(first, second, MatchSettings())) == 0
+    assert len(match(first, second)) == 0
 
 
 def test_nearest_neighbours_as_by_brute_force() -> None:
