@@ -9,7 +9,6 @@ from photocal.base.arrays import Floats, spread
 from photocal.base.errors import ConfigurationError
 from photocal.planning.area import Area, LocalPlane, grid, inside, polygon_area
 from photocal.planning.frame import (
-    ExpectedPrecision,
     PlanningCamera,
     Side,
     air_base,
@@ -152,7 +151,7 @@ class LevelGeometry:
     base_m: float
     strip_spacing_m: float
     exposure_interval_s: float
-    precision: ExpectedPrecision
+    precision: dict[str, float]
     dz_m: float
 
 

@@ -83,23 +83,6 @@ def exposure_interval(base_m: float, ground_speed_m_s: float) -> float:
     return base_m / ground_speed_m_s
 
 
-@dataclass(frozen=True)
-class ExpectedPrecision:
-    """Standard deviations of an intersected ground point, m.
-
-    x_m, y_m, z_m: along the x and y axes of the photo, and in height.
-    """
-
-    x_m: float
-    y_m: float
-    z_m: float
-
-    @property
-    def plane_m(self) -> float:
-        """Planimetric standard deviation, m (canon-elph study, equation 39)."""
-        return math.hypot(self.x_m, self.y_m)
-
-
 def parallax_sigma(image_sigma_m: float) -> float:
     """Give the standard deviation of an x parallax, the difference of two measured coordinates."""
     return math.sqrt(2.0) * image_sigma_m
@@ -107,8 +90,12 @@ def parallax_sigma(image_sigma_m: float) -> float:
 
 def stereo_precision(
     height_m: float, base_m: float, focal_m: float, point_m: tuple[float, float], image_sigma_m: float
-) -> ExpectedPrecision:
-    """Expect the precision of a point intersected from one pair of vertical photos."""
+) -> dict[str, float]:
+    """Expect the precision of a point intersected from one pair of vertical photos.
+
+    returns: standard deviations, m, "x" and "y" along the axes of the photo, "z" in height, and "plane" of
+        both coordinates (canon-elph study, equation 39).
+    """
     parallax = parallax_sigma(image_sigma_m)
     scale = height_m / focal_m
 
@@ -116,8 +103,9 @@ def stereo_precision(
         """Standard deviation of a ground coordinate: of its parallax and of the image point itself."""
         return scale * math.hypot(coordinate / focal_m * height_m / base_m * parallax, image_sigma_m)
 
+    x, y = map(plane, point_m)
     height = normal_case_height_sigma(height_m, base_m, focal_m, parallax)
-    return ExpectedPrecision(plane(point_m[0]), plane(point_m[1]), height)
+    return {"x": x, "y": y, "z": height, "plane": math.hypot(x, y)}
 
 
 def normal_case_height_sigma(
@@ -134,7 +122,7 @@ def expected_altimetric_accuracy(height_m: float, base_m: float, focal_m: float,
 
 def corner_precision(
     frame: PlanningCamera, height_m: float, base_m: float, image_sigma_px: float
-) -> ExpectedPrecision:
+) -> dict[str, float]:
     """Expect the precision far out in the image, where it is worst."""
     share = 0.95
     point = image_point(share * frame.columns, share * frame.rows, frame)

@@ -341,7 +341,7 @@ class NetworkPlan:
             "degrees_of_freedom": result.degrees_of_freedom,
             "datum": block.datum,
             "distances": len(block.relations.values),
-            "sigma_m": dict(zip("xyz", _rms(sigma), strict=True)),
+            "sigma_m": dict(zip("xyz", np.sqrt(np.mean(sigma**2, axis=0)).tolist(), strict=True)),
             "mean_sigma_m": mean,
             "worst": {"point": result.points.names[worst], "sigma_m": sigma[worst].tolist()},
             "one_part_in": extent / mean,
@@ -465,7 +465,3 @@ def plan_network(path: str | Path) -> NetworkPlan:
     """
     block = read_network(Path(path))
     return NetworkPlan(block, adjust_network(block))
-
-
-def _rms(values: Floats) -> list[float]:
-    return [float(v) for v in np.sqrt(np.mean(values**2, axis=0))]

@@ -110,7 +110,7 @@ def remarks(
             listed.append(Finding("smear", "doubtful", height, figures))
     precision = flight.levels[0].precision
     for target in targets:
-        sigma = precision.plane_m if target.component == "planimetry" else precision.z_m
+        sigma = precision["plane" if target.component == "planimetry" else "z"]
         if sigma > target.ep_m:
             figures = {"sigma_m": sigma, "allowed_m": target.ep_m}
             listed.append(Finding("precision-above-target", "doubtful", target.name, figures))
@@ -121,17 +121,15 @@ def remarks(
 
 def _level(level: LevelGeometry) -> dict[str, Any]:
     keys = ("height_m", "scale_denominator", "gsd_m", "footprint_m", "base_m", "strip_spacing_m", "dz_m")
-    sigma = {axis: f"{axis}_m" for axis in ("x", "y", "z", "plane")}
-    made = picked(level, *keys, "exposure_interval_s") | {"sigma_m": picked(level.precision, **sigma)}
+    made = picked(level, *keys, "exposure_interval_s", sigma_m="precision")
     return made | {"height_by_c_m_um": height_by_c(level)}
 
 
 def _level_text(level: LevelGeometry, say: Catalogue) -> str:
-    sigma, (width, height) = level.precision, level.footprint_m
-    precision = {"x": sigma.x_m, "y": sigma.y_m, "z": sigma.z_m, "plane": sigma.plane_m}
+    width, height = level.footprint_m
     return say.told(
         "planned.level",
-        **precision,
+        **level.precision,
         height=level.height_m,
         scale=level.scale_denominator,
         gsd=level.gsd_m * 100.0,

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +13,6 @@ from photocal.base.errors import ConfigurationError, IllPosedError, InputMalform
 from photocal.base.files import output_picture
 from photocal.base.text_tables import read_table, refuse
 from photocal.products.surfaces import Circle, Cylinder, fit_circle, fit_cylinder
-
-Vertical = Literal["X", "Y", "Z"]
 
 # The two horizontal axes, such that they and the vertical one are right-handed.
 HORIZONTAL: dict[str, tuple[int, int, int]] = {"X": (1, 2, 0), "Y": (2, 0, 1), "Z": (0, 1, 2)}
@@ -120,14 +118,16 @@ class Tank:
     between: dict[str, float] | None
 
 
-def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> RingPoints:
+def read_ring_points(path: Path, vertical: str, sigma_m: float | None) -> RingPoints:
     """Read the table of the points of all sections.
 
     path: columns section, point, X, Y, Z (m), optional sX, sY, sZ (m), rXY, rXZ, rYZ (correlations).
     sigma_m: standard deviation of all coordinates of a table without sX, sY, sZ.
     raises InputNotFoundError, InputMalformedError: when it is no such table.
-    raises ConfigurationError: when no standard deviation is given, or twice.
+    raises ConfigurationError: when no standard deviation is given, or twice, or for no axis.
     """
+    if vertical not in HORIZONTAL:
+        raise ConfigurationError(f"--vertical {vertical} is not an axis", "use X, Y or Z")
     table = read_table(path, ("section", "point", "X", "Y", "Z"), SIGMAS + CORRELATIONS)
     sigma_columns = [name for name in SIGMAS if table.has(name)]
     stated = ", ".join(sigma_columns)

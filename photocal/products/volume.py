@@ -282,9 +282,10 @@ def volume(sections: str | Path | None, options: VolumeOptions) -> Volume:
         )
     figures: dict[str, Any] = {"schema": tanks.SCHEMA}
     if sections is not None:
+        points = tanks.read_ring_points(Path(sections), options.vertical, options.sigma)
         if options.shape != "circle":
-            return _closed(Path(sections), options)
-        points, wall = _points(Path(sections), options), options.wall_thickness
+            return Volume(figures | _closed(points, options))
+        wall = options.wall_thickness
         tank = tanks.measure_tank(points, wall)
         figures |= tanks.tank_json(tank, points.axes, wall)
         radius, radius_sigma = tank.radius, tank.radius_sigma
@@ -302,19 +303,11 @@ def volume(sections: str | Path | None, options: VolumeOptions) -> Volume:
     return Volume(figures)
 
 
-def _points(sections: Path, options: VolumeOptions) -> tanks.RingPoints:
-    if options.vertical not in ("X", "Y", "Z"):
-        raise ConfigurationError(f"--vertical {options.vertical} is not an axis", "use X, Y or Z")
-    return tanks.read_ring_points(sections, cast("Literal['X', 'Y', 'Z']", options.vertical), options.sigma)
-
-
-def _closed(sections: Path, options: VolumeOptions) -> Volume:
-    points = _points(sections, options)
+def _closed(points: RingPoints, options: VolumeOptions) -> dict[str, Any]:
     round_only = options.plot or options.height or options.wall_thickness or options.filling
     if options.shape not in ("curve", "polygon") or round_only:
         raise ConfigurationError(
             f"--shape {options.shape} with --plot, --height, --filling or --wall-thickness is not possible",
             "use circle, or curve or polygon without them",
         )
-    closed = measure_closed(points, cast("Literal['curve', 'polygon']", options.shape))
-    return Volume({"schema": tanks.SCHEMA} | closed)
+    return measure_closed(points, cast("Shape", options.shape))

@@ -113,7 +113,7 @@ def test_the_vertical_axis_is_a_matter_of_names(tank_table: str, tmp_path: Path)
     for vertical, axes in (("Z", "X,Y,Z"), ("Y", "Z,X,Y"), ("X", "Y,Z,X")):
         path = tmp_path / f"{vertical}.csv"
         path.write_text(tank_table.replace("point,X,Y,Z", f"point,{axes}"), encoding="utf-8")
-        tanks.append(measure_tank(read_ring_points(path, vertical, 0.014)))  # type: ignore[arg-type]
+        tanks.append(measure_tank(read_ring_points(path, vertical, 0.014)))
     for tank in tanks[1:]:
         assert tank.radius == pytest.approx(tanks[0].radius, abs=1e-12)
         assert tank.tilt == pytest.approx(tanks[0].tilt, abs=1e-9)
