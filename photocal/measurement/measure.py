@@ -3,7 +3,6 @@
 from functools import partial
 from pathlib import Path
 
-from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError
 from photocal.base.operating_system import cache_folder
 from photocal.base.progress import Progress, quiet
@@ -15,7 +14,7 @@ from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measurement_record import MeasuredBlock
 from photocal.measurement.options import MeasureOptions
 from photocal.measurement.orientation import of_exposures
-from photocal.measurement.picture_block import GivenControl, measure_images, measure_project
+from photocal.measurement.picture_block import measure_images, measure_project
 from photocal.measurement.target_block import measure_board, measure_field
 from photocal.project import Project
 
@@ -61,25 +60,16 @@ def measure(
             "--marks has no coordinates of its points",
             "give PROJECT.toml, whose control table has them, or --gcp with both",
         )
-    folder, lens = Path(pictures), partial(with_lens, c_px=options.c_px, focal_mm=options.focal_mm)
+    folder = Path(pictures)
     paths, name = list_images(folder), folder.resolve().name
     if options.field:
         cache = (options.cache or cache_folder()).resolve()
+        lens = partial(with_lens, c_px=options.c_px, focal_mm=options.focal_mm)
         return measure_field(paths, options.field, options.distances, name, lens, cache, progress)
     if options.board:
         board = parse_board(options.board, options.square_m, options.charuco)
         return measure_board(paths, board, name, progress)
-    return measure_images(paths, name, _plan(options, folder), progress, lens, _control(options))
-
-
-def _control(options: MeasureOptions) -> GivenControl | None:
-    if options.gcp is None:
-        return None
-    form = "HORIZONTAL,VERTICAL: metres, such as 0.02,0.03"
-    horizontal, vertical = numbers_of(options.gcp_sigma, "--gcp-sigma", form)
-    if not (horizontal > 0 and vertical > 0):
-        raise ConfigurationError(f"--gcp-sigma {options.gcp_sigma} is not positive", f"give {form}")
-    return GivenControl(options.gcp, (horizontal, vertical), options.crs, options.height)
+    return measure_images(paths, name, _plan(options, folder), progress, options)
 
 
 def _plan(options: MeasureOptions, images: Path) -> MatchingPlan:

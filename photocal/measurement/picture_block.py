@@ -47,6 +47,7 @@ from photocal.measurement.measurement_record import (
     suspected_marks,
     tie_record,
 )
+from photocal.measurement.options import MeasureOptions
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import orient_ties
 from photocal.measurement.picture_tests import judge_cameras
@@ -70,37 +71,6 @@ from photocal.project import Project
 # How far heads move (m) and turn (rad) on their frame while gross errors are sought.
 LOOSE_FRAME = 0.05, 0.002
 NO_CONTROL = ControlMarks("", NO_POINTS, ())
-
-
-@dataclass(frozen=True)
-class GivenControl:
-    """A file of marked control points, and what it does not say itself.
-
-    sigma_m: in plane and height, of points without.
-    crs: reference system in place of the file's, or empty.
-    height: kind of the heights.
-    """
-
-    path: Path
-    sigma_m: tuple[float, float]
-    crs: str
-    height: str
-
-    def read(self, sizes: Sizes) -> ControlMarks:
-        """Points and marks, in a map system or local, as the images of these sizes show them."""
-        given = read_control_marks(self.path, self.sigma_m, sizes)
-        given = replace(given, crs=self.crs) if self.crs else in_map_system(given)
-        return replace(given, marks=named_after(given.marks, sizes))
-
-    def require_heights(self) -> None:
-        """Refuse a file of which nobody says what its heights are."""
-        given = read_control_marks(self.path, self.sigma_m, {})
-        if given.crs != "local" and self.height not in ("ellipsoidal", "orthometric"):
-            raise ConfigurationError(
-                "does not state its height kind",
-                "give --height ellipsoidal or --height orthometric",
-                where=self.path,
-            )
 
 
 @dataclass(frozen=True)
@@ -138,36 +108,49 @@ def measure_images(
     name: str,
     plan: MatchingPlan,
     progress: Progress,
-    lens: Given = with_lens,
-    control: GivenControl | None = None,
+    options: MeasureOptions | None = None,
 ) -> MeasuredBlock:
     """Measure tie points in images, join them with marked control points, and make their block.
 
+    options: lens, and the file of the control points.
     raises PhotocalError: when the file or too few images can be read, or the images are not oriented.
     """
-    if control is not None:
-        # What is wrong with the file is told before the images are looked at.
-        control.require_heights()
+    options = options or MeasureOptions()
+    file, sigma_m, height, crs = options.gcp, options.gcp_sigma_m, options.height, options.crs
+    # What is wrong with the file is told before the images are looked at.
+    placed = file is not None and read_control_marks(file, sigma_m, {}).crs != "local"
+    if placed and height not in ("ellipsoidal", "orthometric"):
+        raise ConfigurationError(
+            "does not state its height kind", "give --height ellipsoidal or --height orthometric", where=file
+        )
+
+    def read(sizes: Sizes) -> ControlMarks:
+        """Points and marks, in a map system or local, as the images of these sizes show them."""
+        if file is None:
+            return NO_CONTROL
+        given = read_control_marks(file, sigma_m, sizes)
+        given = replace(given, crs=crs) if crs else in_map_system(given)
+        return replace(given, marks=named_after(given.marks, sizes))
 
     def told(tracked: ImageTracks, given: ControlMarks) -> dict[str, Any]:
         """Say for the record where the camera and the places come from."""
         sources = sorted({stated_camera("", facts).source for facts in tracked.facts})
-        if control is None:
+        if file is None:
             _, origin = local_places(tracked.facts)
             at = dict(zip(("latitude_deg", "longitude_deg", "height_m"), origin, strict=True))
             own: dict[str, Any] = {"kind": "tie points", "origin": at if np.isfinite(origin[0]) else None}
         else:
-            file = {"file": control.path.name, "sigma_assumed_m": list(control.sigma_m)}
+            control = {"file": file.name, "sigma_assumed_m": list(sigma_m), "marks": len(given.marks)}
             own = {
                 "kind": "tie and control points",
-                "system": {"crs": given.crs, "height": control.height},
-                "control": {**file, "marks": len(given.marks)},
+                "system": {"crs": given.crs, "height": height},
+                "control": control,
             }
         return {"principal_distance_from": sources, **own}
 
-    read = (lambda _: NO_CONTROL) if control is None else control.read
-    height = "" if control is None else control.height
-    known = KnownPictures(name, paths, lens, stated_footprints, read, height, told)
+    lens = partial(with_lens, c_px=options.c_px, focal_mm=options.focal_mm)
+    kind = "" if file is None else height
+    known = KnownPictures(name, paths, lens, stated_footprints, read, kind, told)
     return _measured(known, plan, progress)
 
 

@@ -203,10 +203,10 @@ def write_orthophoto(
         nodata=recipe.nodata,
         tags=tags,
     ) as write:
-        for tile in orthophoto(recipe, ImageStore(read), workers):
-            write(tile.pixels, tile.column, tile.row)
-            count += np.bincount(tile.chosen.ravel() + 1, minlength=len(count))
-            advance(float(tile.chosen.size))
+        for column, row, pixels, chosen in orthophoto(recipe, ImageStore(read), workers):
+            write(pixels, column, row)
+            count += np.bincount(chosen.ravel() + 1, minlength=len(count))
+            advance(float(chosen.size))
     shown = {name: int(n) for name, n in zip(recipe.shots.names, count[1:], strict=True)}
     return float(count[1:].sum() / count.sum()), shown
 
