@@ -1,4 +1,4 @@
-"""From pictures to their block: of a project, or of a folder that is a project of pictures only."""
+"""The step from pictures to a block: of a project, of a folder, of a board or a field of coded targets."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,10 +10,11 @@ import numpy as np
 
 from photocal.base.arrays import Flags, Integers
 from photocal.base.errors import ConfigurationError
+from photocal.base.operating_system import cache_folder
 from photocal.base.policy import policy
-from photocal.base.progress import Progress
+from photocal.base.progress import Progress, quiet
 from photocal.base.text_tables import known_rows, read_table
-from photocal.base.workers import one_crew
+from photocal.base.workers import Cluster, one_crew
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, ROLES, Block, ObjectPoints
 from photocal.block.network import OTHER_SURFACE_M, block_frame
@@ -29,6 +30,7 @@ from photocal.measurement.image_file import each_picture, list_images
 from photocal.measurement.image_pairs import Footprints, exposed_footprints, stated_footprints
 from photocal.measurement.maker_camera import group_cameras, stated_camera, with_lens
 from photocal.measurement.mark_frames import settle_marks
+from photocal.measurement.markers import parse_board
 from photocal.measurement.marks import (
     ControlMarks,
     Sizes,
@@ -48,7 +50,7 @@ from photocal.measurement.measurement_record import (
     tie_record,
 )
 from photocal.measurement.options import MeasureOptions
-from photocal.measurement.orientation import Orientation
+from photocal.measurement.orientation import Orientation, of_exposures
 from photocal.measurement.oriented_ties import orient_ties
 from photocal.measurement.picture_tests import judge_cameras
 from photocal.measurement.plain_targets import FoundTargets, targets_of_project
@@ -63,6 +65,7 @@ from photocal.measurement.position_files import (
     shift_of_positions,
 )
 from photocal.measurement.release import HELD, HOLDING, with_released_cameras
+from photocal.measurement.target_block import measure_board, measure_field
 from photocal.measurement.tie_block import POSITION_SIGMA_M, marked_control, start_block
 from photocal.measurement.tie_orientation import pictures_turned
 from photocal.measurement.tracks import Tracks
@@ -101,6 +104,69 @@ class KnownPictures:
     camera_of: Mapping[str, int] = field(default_factory=dict)
     exposure_of: Mapping[str, str] = field(default_factory=dict)
     exposures: Orientation | None = None
+
+
+def measure(
+    pictures: Project | Path | str, options: MeasureOptions | None = None, progress: Progress = quiet
+) -> MeasuredBlock:
+    """Measure pictures, and make the block that `photocal.adjust` takes.
+
+    Parameters
+    ----------
+    pictures
+        A project that was read, or the folder of the pictures.
+    options
+        What is measured in a folder (tie points, with marked control, a board, a field of coded targets), and
+        with which means. A project names its own control and targets.
+    progress
+        Told how far the work is.
+
+    Returns
+    -------
+    MeasuredBlock
+        The block, and the record of how it was measured (`measurement.json`).
+
+    Raises
+    ------
+    ConfigurationError
+        When options do not go with what is measured.
+    PhotocalError
+        When too few pictures can be read, show the targets, or are oriented.
+    """
+    options = options or MeasureOptions()
+    if isinstance(pictures, Project):
+        if options.board or options.gcp is not None:
+            raise ConfigurationError("a project names its own control", "give --images with --board or --gcp")
+        # What `photocal exposures` or `photocal run` left in the work folder: good to start from.
+        folder = pictures.output / "exposures"
+        exposures = of_exposures(pictures, folder) if (folder / "images.csv").exists() else None
+        plan = _plan(options, pictures.picture_folder)
+        return measure_project(pictures, exposures, plan, progress, options.marks)
+    if options.marks:
+        raise ConfigurationError(
+            "--marks has no coordinates of its points",
+            "give PROJECT.toml, whose control table has them, or --gcp with both",
+        )
+    folder = Path(pictures)
+    paths, name = list_images(folder), folder.resolve().name
+    if options.field:
+        cache = (options.cache or cache_folder()).resolve()
+        lens = partial(with_lens, c_px=options.c_px, focal_mm=options.focal_mm)
+        return measure_field(paths, options.field, options.distances, name, lens, cache, progress)
+    if options.board:
+        board = parse_board(options.board, options.square_m, options.charuco)
+        return measure_board(paths, board, name, progress)
+    return measure_images(paths, name, _plan(options, folder), progress, options)
+
+
+def _plan(options: MeasureOptions, images: Path) -> MatchingPlan:
+    usual = MatchingPlan()
+    cache = (options.cache or usual.cache).resolve()
+    if not options.cluster:
+        return MatchingPlan(cache, options.workers or usual.processes)
+    cluster = Cluster(options.cluster)
+    cluster.require_shared(images, cache)
+    return MatchingPlan(cache, cluster)
 
 
 def measure_images(

@@ -25,7 +25,7 @@ from photocal.findings.document import Paragraph, Section, table, text
 from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import angles_from_matrix, turned_left
-from photocal.planning.frame import PlanningCamera
+from photocal.planning.flight import PlanningCamera
 from photocal.planning.simulated_adjustment import SELF_CALIBRATION, planned_camera, visible_rays
 from photocal.results.adjusted import adjust_network
 from photocal.results.result import Result

@@ -8,7 +8,7 @@ import pytest
 
 from photocal.base.errors import ConfigurationError
 from photocal.geometry.smear import smear_px
-from photocal.planning.frame import (
+from photocal.planning.flight import (
     PlanningCamera,
     air_base,
     corner_precision,

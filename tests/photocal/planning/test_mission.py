@@ -17,8 +17,7 @@ from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.base.geodesy import GeodeticPlace
 from photocal.cli import app
 from photocal.planning.area import area_from_corners
-from photocal.planning.flight import FlightRequest, PlannedFlight, plan_flight
-from photocal.planning.frame import PlanningCamera
+from photocal.planning.flight import FlightRequest, PlannedFlight, PlanningCamera, plan_flight
 from photocal.planning.mission import (
     mission_items,
     qgroundcontrol_plan,
