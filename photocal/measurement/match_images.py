@@ -238,8 +238,7 @@ def _detect_one(image: tuple[Path, str, MatchingPlan]) -> tuple[str, str]:
 
     def make() -> Arrays:
         """Detect the features of one picture."""
-        features = detect(as_eight_bit(read_grey(path)), plan.features)
-        return {"pixels": features.pixels, "scale": features.scale, "descriptors": features.descriptors}
+        return dict(vars(detect(as_eight_bit(read_grey(path)), plan.features)))
 
     try:
         cached(plan.cache, key, _NAMES, make)

@@ -28,7 +28,7 @@ from photocal.measurement.control_review import stray_points
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, motion_while_read, read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.measurement.image_pairs import Footprints, exposed_footprints, stated_footprints
-from photocal.measurement.maker_camera import group_cameras, stated_camera, with_lens
+from photocal.measurement.maker_camera import stated_camera, with_lens
 from photocal.measurement.mark_frames import settle_marks
 from photocal.measurement.markers import parse_board
 from photocal.measurement.marks import (
@@ -312,11 +312,8 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     left_out = (*tracked.left_out, *oriented.left_out)
     lost = [*settling, *(finding for _, finding in unused)]
     marks = findings_of_marks(lost, targets.strangers, suspects, left_out)
-    if given is None:
-        names, members = group_cameras(tracked.facts)
-    else:
-        names, members = tuple(camera.id for camera in given[0]), given[1]
-    findings += judge_cameras(tracked.facts, names, members.tolist())
+    cameras = [camera.id for camera in start.cameras]
+    findings += judge_cameras(tracked.facts, cameras, start.images.camera.tolist())
     frame = None if project is None or known.exposures is not None else project.images.position_frame
     placed = next((facts for facts in tracked.facts if facts.has_position), None)
     if project is not None and frame is not None and placed is not None:

@@ -283,8 +283,6 @@ def displacement(
     right: OrientedImages, wrong: OrientedImages, terrain: Terrain, frame: LocalFrame, x: Floats, y: Floats
 ) -> Displacement:
     """Follow ground points through the right image geometry and back through the wrong one."""
-    if right.names != wrong.names:
-        raise ConfigurationError("the two orientations have different images", "use two of one block")
     given = np.column_stack([x, y, terrain.at(x, y)])
     given = given[np.isfinite(given[:, 2])]
     local = frame.to_local(given)
