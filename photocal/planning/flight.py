@@ -36,10 +36,6 @@ class PlanningCamera:
         if not (self.focal_m > 0.0 and self.pixel_m > 0.0 and self.columns > 0 and self.rows > 0):
             raise ConfigurationError("focal length, pixel size and image size must be positive")
 
-    def side_px(self, side: Side) -> int:
-        """Give the number of pixels along one side of the image."""
-        return self.columns if side == "columns" else self.rows
-
 
 def scale_denominator(gsd_m: float, pixel_m: float) -> float:
     """Give the photo scale that has a ground sample distance (canon-elph study, equation 31)."""
@@ -313,17 +309,18 @@ def level_geometry(request: FlightRequest, height_m: float) -> LevelGeometry:
         raise ConfigurationError(f"a flying height of {height_m:g} m above ground is not possible")
     frame = request.frame
     gsd = ground_sample_distance(height_m, frame)
-    across: Side = "columns" if request.along == "rows" else "rows"
-    base = air_base(request.forward_overlap, frame.side_px(request.along) * gsd)
+    ground = footprint(gsd, frame)
+    along, across = ground if request.along == "columns" else ground[::-1]
+    base = air_base(request.forward_overlap, along)
     # Half a pixel: what the canon-elph study takes for a tie point in one image.
     image_sigma_px = 0.5
     return LevelGeometry(
         height_m,
         scale_denominator(gsd, frame.pixel_m),
         gsd,
-        footprint(gsd, frame),
+        ground,
         base,
-        air_base(request.side_overlap, frame.side_px(across) * gsd),
+        air_base(request.side_overlap, across),
         exposure_interval(base, request.speed_m_s),
         corner_precision(frame, height_m, base, image_sigma_px),
         expected_altimetric_accuracy(height_m, base, frame.focal_m, frame.pixel_m),

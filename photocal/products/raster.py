@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
 from photocal.base.files import output_file
 from photocal.geometry.frames import level_of, system_of
-from photocal.products.terrain import HEIGHT_KINDS, Bounds, Terrain, Transform, bounds_of
+from photocal.products.terrain import HEIGHT_KINDS, Bounds, Terrain, Transform
 
 HEIGHT_TAG = "HEIGHT_KIND"
 
@@ -42,7 +42,10 @@ class RasterFile:
     @property
     def bounds(self) -> Bounds:
         """West, south, east, north."""
-        return bounds_of(self.transform, self.columns, self.rows)
+        a, b, c, d, e, f = self.transform
+        corners = [(i, j) for i in (0, self.columns) for j in (0, self.rows)]
+        x, y = [c + a * i + b * j for i, j in corners], [f + d * i + e * j for i, j in corners]
+        return min(x), min(y), max(x), max(y)
 
     def stated_heights(self, stated: str | None) -> str:
         """Kind of the heights of a terrain model by itself or as it is said.

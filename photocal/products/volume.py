@@ -223,16 +223,14 @@ def _lines(of: dict[str, Any], say: Catalogue) -> Iterator[str]:
                 "volume.cylinder", up=of["vertical_axis"], **{**cylinder, "variance_factor": factor}
             )
     if (between := of.get("between_sections")) is not None:
-        yield say("volume.between", rule=say(_RULES["shape" in of]), volume=_told(between, say))
+        # Circles are joined by their end areas, outlines by a spline through their areas.
+        rule = "volume.quadrature" if "shape" in of else "volume.end_areas"
+        yield say("volume.between", rule=say(rule), volume=_told(between, say))
     parts = of.get("partial_volumes", ())
     if len(parts) > 1:
         yield from (say.told("volume.part", **part) for part in parts)
     if "by_mean_radius" in of:
         yield say("volume.by_radius", volume=_told(of["by_mean_radius"], say))
-
-
-# Circles are joined by their end areas, outlines by a spline through their areas.
-_RULES = {False: "volume.end_areas", True: "volume.quadrature"}
 
 
 def _told(volume: dict[str, float], say: Catalogue) -> str:
