@@ -448,8 +448,8 @@ def measure(images: str | Path, *, options: MeasureOptions | None = None) -> Mea
     ('view1.png', 'view2.png', 'view3.png', 'view4.png')
     """
     from photocal.base.console import progress
-    from photocal.measurement.measure import measure as measured
     from photocal.measurement.options import MeasureOptions
+    from photocal.measurement.picture_block import measure as measured
     from photocal.project import read_project
 
     path = Path(images)

@@ -57,9 +57,9 @@ def measure(
 def _written(project: Path | None, images: Path, options: MeasureOptions, output: Path) -> dict[str, Any]:
     """Measure and write; images that cannot be oriented cost nobody the minutes of measuring."""
     from photocal.base.files import output_folder
-    from photocal.measurement.measure import measure as measured_pictures
     from photocal.measurement.measurement_record import SCHEMA, MeasuredBlock
     from photocal.measurement.oriented_ties import UnorientedError
+    from photocal.measurement.picture_block import measure as measured_pictures
     from photocal.project import read_project
 
     refused = None

@@ -67,11 +67,10 @@ def look(task: tuple[Path, MatchingPlan]) -> PictureQuality:
     def make() -> Arrays:
         """Measure one picture: features, exposure, sharpness."""
         grey = as_eight_bit(read_grey(path))
-        features = detect(grey, plan.features)
         few = grey[::4, ::4]
         low, high = np.quantile(few, [0.02, 0.98])
         figures = np.array([_softness(grey), np.mean(few >= WHITE), np.mean(few <= BLACK), high - low])
-        return {"figures": figures, **{name: getattr(features, name) for name in _NAMES[1:]}}
+        return {"figures": figures, **vars(detect(grey, plan.features))}
 
     try:
         facts = read_facts(path)

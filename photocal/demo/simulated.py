@@ -21,8 +21,6 @@ from photocal.base.operating_system import CHILD_FLAGS, interrupt
 from photocal.results.folder import read_result
 from photocal.results.result import Result
 
-_LEVER = ("lever_arm_x", "lever_arm_y", "lever_arm_z")
-_BORESIGHT = ("boresight_x", "boresight_y", "boresight_z")
 _WITHIN = 3.0
 _ACQUIRE = (sys.executable, "-c", "from acquire.cli import main; main()")
 
@@ -77,7 +75,8 @@ def _mounting(true: dict[str, Any], result: Result) -> Iterator[ComparedQuantity
     rig, mounting = true["rig"], result.mounting or {}
     truths = [*rig["camera_to_antenna_m"], *rig["boresight_deg"], rig["time_offset_s"]]
     units = ["m"] * 3 + ["deg"] * 3 + ["s"]
-    for name, value, unit in zip((*_LEVER, *_BORESIGHT, "time_offset"), truths, units, strict=True):
+    names = [f"{part}_{axis}" for part in ("lever_arm", "boresight") for axis in "xyz"]
+    for name, value, unit in zip((*names, "time_offset"), truths, units, strict=True):
         parameter = mounting[name]
         if parameter.estimated:
             yield ComparedQuantity(name.replace("_", " "), unit, value, parameter.value, parameter.sigma)

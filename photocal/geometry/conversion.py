@@ -116,33 +116,31 @@ def converted(
 
 def apart_px(camera: Camera, other: Camera) -> tuple[float, float]:
     """How far apart two cameras record the same rays, over the whole image of the first."""
-    measured = _grid(camera)
-    rays = undistorted(camera, measured) / camera.values[0]
-    seen = np.isfinite(rays).all(axis=1)
-    apart = np.hypot(*((distorted(other, other.values[0] * rays[seen]) - measured[seen]) / camera.pitch).T)
+    measured, rays = _grid(camera)
+    apart = np.hypot(*((distorted(other, other.values[0] * rays) - measured) / camera.pitch).T)
     apart[np.isnan(apart)] = np.inf
     return float(np.sqrt(np.mean(apart**2))), float(apart.max())
 
 
-def _grid(camera: Camera) -> Floats:
-    """Image points over the whole image, in its plane."""
+def _grid(camera: Camera) -> tuple[Floats, Floats]:
+    """Image points over the whole image, in its plane, and the slopes of their rays, where it sees."""
     # Points on a side of the grid over the image at which models are compared.
     grid = 31
     side = [
         np.linspace(-0.5, 0.5, grid) * extent * pitch
         for extent, pitch in zip(camera.size_px, camera.pitch, strict=True)
     ]
-    return np.stack(np.meshgrid(*side), axis=-1).reshape(-1, 2)
+    measured = np.stack(np.meshgrid(*side), axis=-1).reshape(-1, 2)
+    rays = undistorted(camera, measured) / camera.values[0]
+    seen = np.isfinite(rays).all(axis=1)
+    return measured[seen], rays[seen]
 
 
 def _fitted(camera: Camera, model: Model, affinity: Affinity, terms: Sequence[str]) -> Conversion:
     from scipy.optimize import least_squares
 
     size = np.array(camera.size_px)
-    measured = _grid(camera)
-    rays = undistorted(camera, measured) / camera.values[0]
-    seen = np.isfinite(rays).all(axis=1)
-    measured, rays = measured[seen], rays[seen]
+    measured, rays = _grid(camera)
     index = [0, 1, 2, *(PARAMETERS.index(name) for name in terms)]
     shared = np.isin(PARAMETERS, terms) & (camera.model == model)
     start = np.where(shared, camera.values, 0.0)

@@ -28,15 +28,12 @@ class InteriorOrientation:
     residuals (marks, 2): computed minus known coordinates of the marks, in the unit of the image coordinates.
     redundancy: coordinates of the marks less parameters.
     sigma0: standard deviation of one coordinate of a mark, from the residuals; NaN without redundancy.
-    mirrored: whether the readings are left-handed, as those with rows that count downwards.
     """
 
-    kind: Transformation
     matrix: Floats
     residuals: Floats
     redundancy: int
     sigma0: float
-    mirrored: bool
 
     def applied(self, readings: Floats) -> Floats:
         """Image coordinates of readings, shape (n, 2)."""
@@ -58,10 +55,10 @@ def interior_orientation(
     # Both systems are centred and scaled, so that the equations do not depend on the units.
     to_unit, unit_readings = _normalised(readings)
     from_unit, unit_known = _normalised(known)
-    # Whether a reflection brings the marks closer to their known places than a rotation: the sign of the
-    # determinant of the products of both systems decides (Kabsch 1976).
-    mirrored = bool(np.linalg.det(unit_known.T @ unit_readings) < 0)
     if kind == "conformal":
+        # Whether a reflection brings the marks closer to their known places than a rotation: the sign of the
+        # determinant of the products of both systems decides (Kabsch 1976).
+        mirrored = bool(np.linalg.det(unit_known.T @ unit_readings) < 0)
         matrix = _conformal(unit_readings, unit_known, mirrored)
     elif kind == "affine":
         design = np.column_stack([unit_readings, np.ones(len(readings))])
@@ -73,7 +70,7 @@ def interior_orientation(
     residuals = _transform(matrix, readings) - known
     redundancy = known.size - unknowns
     sigma0 = float(np.sqrt(np.sum(residuals**2) / redundancy)) if redundancy else float("nan")
-    return InteriorOrientation(kind, matrix, residuals, redundancy, sigma0, mirrored)
+    return InteriorOrientation(matrix, residuals, redundancy, sigma0)
 
 
 def _require(readings: Floats, known: Floats, kind: Transformation, names: Sequence[str]) -> None:

@@ -229,11 +229,11 @@ def turned(movement: Floats, late: Floats) -> Floats:
 
 
 def oriented_images(
-    cameras: Sequence[Camera], camera: ArrayLike, rotation: Floats, station: Floats, names: Sequence[str] = ()
+    cameras: Sequence[Camera], camera: ArrayLike, rotation: Floats, station: Floats
 ) -> OrientedImages:
-    """Make oriented images of rotation matrices (n, 3, 3) and projection centres (n, 3)."""
+    """Make oriented images, numbered, of rotation matrices (n, 3, 3) and projection centres (n, 3)."""
     values = np.hstack([angles_from_matrix(rotation), station])
-    numbered = tuple(names) or tuple(str(k) for k in range(len(values)))
+    numbered = tuple(map(str, range(len(values))))
     return OrientedImages(numbered, tuple(cameras), np.asarray(camera, dtype=np.int64), values)
 
 

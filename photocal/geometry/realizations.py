@@ -38,29 +38,6 @@ _OF_IGS = {
 
 
 @dataclass(frozen=True)
-class FixedToPlate:
-    """A national system that is a frame of the world, stopped at an epoch.
-
-    frame, epoch: of the world, years.
-    plate: that the ground has moved with since, as PROJ calls it.
-    source: where this stands.
-    """
-
-    frame: str
-    epoch: float
-    plate: str
-    source: str
-
-
-FIXED: Mapping[str, FixedToPlate] = {
-    "SIRGAS 2000": FixedToPlate("ITRF2000", 2000.4, "SOAM", "IBGE, R.PR 1/2005"),
-    "SIRGAS 1995": FixedToPlate("ITRF94", 1995.4, "SOAM", "IBGE, SIRGAS final report 1997"),
-    "SIRGAS-ROU98": FixedToPlate("ITRF94", 1995.4, "SOAM", "SGM Uruguay, densification of SIRGAS95"),
-    "Mexico ITRF2008": FixedToPlate("ITRF2008", 2010.0, "NOAM", "INEGI, technical norm of 23 December 2010"),
-}
-
-
-@dataclass(frozen=True)
 class Realization:
     """A frame with the epoch of its coordinates.
 
@@ -72,14 +49,24 @@ class Realization:
     epoch: float = math.nan
 
     def __str__(self) -> str:
-        fixed = FIXED.get(self.frame)
-        epoch = fixed.epoch if fixed is not None else self.epoch
+        epoch = FIXED[self.frame][0].epoch if self.frame in FIXED else self.epoch
         return self.frame + ("" if math.isnan(epoch) else f", epoch {epoch:.10g}")
 
     @property
     def moves(self) -> bool:
         """Whether the ground moves in it: its coordinates need an epoch."""
         return _is_dynamic(self.frame)
+
+
+# National systems that are a frame of the world, stopped at an epoch: that frame, and the plate that the
+# ground has moved with since, as PROJ calls it. Sources: IBGE, R.PR 1/2005; IBGE, SIRGAS final report 1997;
+# SGM Uruguay, densification of SIRGAS95; INEGI, technical norm of 23 December 2010.
+FIXED: Mapping[str, tuple[Realization, str]] = {
+    "SIRGAS 2000": (Realization("ITRF2000", 2000.4), "SOAM"),
+    "SIRGAS 1995": (Realization("ITRF94", 1995.4), "SOAM"),
+    "SIRGAS-ROU98": (Realization("ITRF94", 1995.4), "SOAM"),
+    "Mexico ITRF2008": (Realization("ITRF2008", 2010.0), "NOAM"),
+}
 
 
 @dataclass(frozen=True)
@@ -175,13 +162,12 @@ def frame_shift(place_m: Floats, source: Realization, target: Realization) -> Fr
     returns: None where nothing known leads from one to the other, where an epoch is missing, or where both
         are moving frames of different epochs and nothing tells the plate.
     """
-    here, there = FIXED.get(source.frame), FIXED.get(target.frame)
-    start = source if here is None else Realization(here.frame, here.epoch)
-    end = target if there is None else Realization(there.frame, there.epoch)
+    start, here = FIXED.get(source.frame, (source, None))
+    end, there = FIXED.get(target.frame, (target, None))
     # What is fixed to a plate is the same at every epoch: it is met at that of the other.
     first = start.epoch if start.moves else end.epoch
     last = end.epoch if end.moves else first
-    plate = next((fixed.plate for fixed in (there, here) if fixed is not None), None)
+    plate = there or here
     if math.isnan(first) or math.isnan(last) or (first != last and plate is None):
         return None
     place = np.asarray(place_m, np.float64)

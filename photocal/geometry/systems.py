@@ -244,7 +244,7 @@ def _aliases() -> Mapping[str, tuple[str, ...]]:
     from pyproj.datadir import get_data_dir
 
     found: dict[str, list[str]] = {}
-    for folder in get_data_dir().split(":" if ":\\" not in get_data_dir() else ";"):
+    for folder in get_data_dir().split(os.pathsep):
         path = Path(folder) / "proj.db"
         if path.is_file():
             for auth, code, name in _rows(path):

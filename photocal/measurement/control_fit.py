@@ -96,34 +96,33 @@ def fit_control(
         if fit.move is None and placed:
             fit = replace(_beside_positions(rays.met[judged], target[judged], adjusted), why=fit.why)
     move, controlled = fit.move or _SAME, fit.move is not None and not fit.why
+    known = controlled or placed
     keeps = np.zeros(len(points.names), dtype=np.bool_)
-    keeps[judged[fit.fits]] = controlled or placed
+    keeps[judged[fit.fits]] = known
     findings = _not_meeting(points, rays, views) + [
         _off(points.names[j], float(fit.miss[k]), float(fit.miss[k] / (move.scale * gsd)))
         for k, j in enumerate(judged)
-        if not fit.fits[k] and (controlled or placed)
+        if not fit.fits[k] and known
     ]
     # What has a single ray is compared with where the others put it.
-    single = np.bincount(rays.tracks.track, minlength=len(points.names)) == 1
-    if controlled or placed:
+    count = np.bincount(rays.tracks.track, minlength=len(points.names))
+    if known:
         limit = _limit_px(views) + _tolerance(target[judged[fit.fits]], sigma[fit.fits]) / (move.scale * gsd)
         shown, away = _shown(rays.tracks, views, move, target)
-        for j in np.flatnonzero(control & single & shown):
+        for j in np.flatnonzero(control & (count == 1) & shown):
             keeps[j] = away[j] <= limit
             if not keeps[j]:
                 findings.append(_off(points.names[j], float(away[j] * move.scale * gsd), float(away[j])))
-    keeps |= _checks_here(points, rays.met, target, move, surveyed & (controlled or placed))
+    keeps |= _checks_here(points, rays.met, target, move, surveyed & known)
     # What counts in plane or height alone is compared with nothing here.
     partly = points.of_role("control") & ~np.isfinite(points.sigma).all(axis=1)
-    keeps |= partly & (controlled or placed)
     # What is marked nowhere does no harm, and is named as such.
-    unseen = np.bincount(rays.tracks.track, minlength=len(points.names)) == 0
-    keeps |= surveyed & unseen & (controlled or placed)
+    keeps |= (partly | (surveyed & (count == 0))) & known
     why = fit.why if control.any() else ""
     findings += _sentences(
         fit, why, target, judged, views, adjusted, placed=placed, listed=int(control.sum())
     )
-    block = _with_what_fits(start, adjusted, rays, keeps, free=not (controlled or placed))
+    block = _with_what_fits(start, adjusted, rays, keeps, free=not known)
     if controlled and any(finding.code == "control-against-positions" for finding in findings):
         block.images.sigma[:, 3:] = np.inf
     return block, _moved(views, move, frame), findings, controlled
@@ -168,10 +167,15 @@ def _meeting(row: Integers, marks: Tracks, views: OrientedImages, count: int) ->
     return _Rays(row, marks, meets, met, miss)
 
 
+def _of_one_point(marks: Tracks, rows: Integers) -> Tracks:
+    """Some marks as the rays of a single point."""
+    some = marks.rows(rows)
+    return replace(some, track=np.zeros_like(some.track))
+
+
 def _met(marks: Tracks, views: OrientedImages, rows: Integers) -> Floats:
     """Where some rays come closest, before the cameras; else NaN."""
-    track = np.zeros(len(rows), dtype=np.int64)
-    some = Tracks(track, marks.image[rows], marks.pixels[rows], marks.scale[rows])
+    some = _of_one_point(marks, rows)
     place = intersected(views, some)
     with np.errstate(invalid="ignore"):
         wide = spread(views, some, place)[0] >= LEAST_SPREAD
@@ -180,8 +184,7 @@ def _met(marks: Tracks, views: OrientedImages, rows: Integers) -> Floats:
 
 def _misses(marks: Tracks, views: OrientedImages, rows: Integers, place: Floats) -> Floats:
     """By how much marks miss a place, px; infinite behind the camera."""
-    here = replace(marks, track=np.zeros(len(rows), np.int64), image=marks.image[rows])
-    here = replace(here, pixels=marks.pixels[rows], scale=marks.scale[rows])
+    here = _of_one_point(marks, rows)
     with np.errstate(all="ignore"):
         away = reprojection_errors(views, here, place[None])
         towards = place - views.station[here.image]

@@ -12,12 +12,12 @@ from photocal.exchange.parts import Mark
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue
 from photocal.geometry.frames import code_of, level_of, system_of
+from photocal.measurement.place_tables import FOOT_M
 
 # A point so far from the others, and so many times as far as they are from each other, is none of the site.
 FAR_M, FARTHER = 2_000.0, 20.0
 # Two names within so much, and within this share of the whole width, may be one point; one place, m.
 TWIN_M, TWIN_SHARE, SAME_M = 1.0, 0.02, 0.002
-FOOT_M = 0.3048
 # Neighbouring zones that are tried.
 ZONES = (-1, 1, -2, 2)
 

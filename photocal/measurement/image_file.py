@@ -54,14 +54,19 @@ def list_images(folder: Path) -> tuple[Path, ...]:
     raises InputMalformedError: when folders in it have images of the same names.
     """
     at = next((k for k, part in enumerate(folder.parts) if set(part) & {"*", "?"}), 0)
+    root, pattern = folder, "*"
     if at and not folder.is_dir():
-        return tuple(_of_pattern(Path(*folder.parts[:at]), "/".join(folder.parts[at:]), folder))
-    if not folder.is_dir():
-        raise InputNotFoundError("is not a folder", "name the folder with the images", where=folder)
-    files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
-    pictures = sorted(path for path in files if path.suffix.lower() in SUFFIXES)
+        root, pattern = Path(*folder.parts[:at]), "/".join(folder.parts[at:])
+    if not root.is_dir():
+        raise InputNotFoundError("is not a folder", "name the folder with the images", where=root)
+    files = [path for path in root.glob(pattern) if path.is_file() and not path.name.startswith(".")]
+    pictures = [path for path in files if path.suffix.lower() in SUFFIXES]
+    if not pictures and root != folder:
+        raise InputNotFoundError("does not match any image", f"it takes {', '.join(SUFFIXES)}", where=folder)
     if not pictures:
-        pictures = _of_heads(folder)
+        # The folders in it, one for each camera of a frame.
+        below = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+        pictures = [path for part in below for path in part.iterdir() if path.suffix.lower() in SUFFIXES]
     require_names(pictures)
     unread = sorted({path.suffix for path in files if path.suffix.lower() in UNREAD})
     if not pictures and unread:
@@ -72,7 +77,16 @@ def list_images(folder: Path) -> tuple[Path, ...]:
         )
     if not pictures:
         raise InputNotFoundError("has no image", f"it takes {', '.join(SUFFIXES)}", where=folder)
-    return tuple(pictures)
+    place: dict[str, Path] = {}
+    for path in pictures:
+        if path.name in place:
+            raise InputMalformedError(
+                f"has two pictures {path.name}, in {place[path.name].parent.name} and {path.parent.name}",
+                "rename the pictures so that each has its own name",
+                where=folder,
+            )
+        place[path.name] = path
+    return tuple(sorted(pictures, key=lambda path: path.name))
 
 
 def require_names(paths: Iterable[Path]) -> None:
@@ -85,39 +99,6 @@ def require_names(paths: Iterable[Path]) -> None:
                 "rename the picture",
                 where=path,
             )
-
-
-def _of_heads(folder: Path) -> list[Path]:
-    """Images of the folders in a folder, one for each camera of a frame."""
-    below = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
-    pictures = [path for part in below for path in part.iterdir() if path.suffix.lower() in SUFFIXES]
-    return _each_once(pictures, folder)
-
-
-def _of_pattern(root: Path, pattern: str, where: Path) -> list[Path]:
-    """Images below a folder whose names fit a pattern."""
-    if not root.is_dir():
-        raise InputNotFoundError("is not a folder", "name the folder with the images", where=root)
-    fitting = [path for path in root.glob(pattern) if not path.name.startswith(".")]
-    pictures = [path for path in fitting if path.suffix.lower() in SUFFIXES and path.is_file()]
-    if not pictures:
-        raise InputNotFoundError("does not match any image", f"it takes {', '.join(SUFFIXES)}", where=where)
-    require_names(pictures)
-    return _each_once(pictures, where)
-
-
-def _each_once(pictures: Iterable[Path], folder: Path) -> list[Path]:
-    """Images in the order of their names, of which none may come twice."""
-    place: dict[str, Path] = {}
-    for path in pictures:
-        if path.name in place:
-            raise InputMalformedError(
-                f"has two pictures {path.name}, in {place[path.name].parent.name} and {path.parent.name}",
-                "rename the pictures so that each has its own name",
-                where=folder,
-            )
-        place[path.name] = path
-    return sorted(place.values(), key=lambda path: path.name)
 
 
 def left_out_entry(image: str, reason: str, code: str) -> dict[str, str]:

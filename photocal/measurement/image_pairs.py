@@ -1,20 +1,16 @@
 """Which images to match: those whose footprints overlap, as far as these are known beforehand."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from photocal.base.arrays import Floats, Integers
-from photocal.block.model import Images, ObjectPoints
-from photocal.geometry.frames import LocalFrame, ShiftedFrame, reference_frame
-from photocal.geometry.oriented_images import local_poses
-from photocal.geometry.rotation import matrix_from_angles
+from photocal.block.model import ObjectPoints
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.maker_camera import stated_camera
+from photocal.measurement.orientation import Orientation
 from photocal.measurement.position_files import local_places
-from photocal.project import Project
 
 Rule = Literal["footprints", "neighbours", "sequence", "all"]
 
@@ -22,16 +18,9 @@ Rule = Literal["footprints", "neighbours", "sequence", "all"]
 ALL_UP_TO, SEQUENCE = 60, 12
 
 
-@dataclass(frozen=True)
-class Footprints:
-    """Where images look, as far as it is known before they are oriented.
-
-    centre (n, 2): middle of the footprint, m; NaN when unknown.
-    radius (n,): of a circle with the area of the footprint, m; NaN when the height above ground is unknown.
-    """
-
-    centre: Floats
-    radius: Floats
+# Where images look, as far as it is known before they are oriented: middles of the footprints (n, 2), m, NaN
+# when unknown; radii (n,) of circles of their areas, m, NaN when the height above ground is unknown.
+Footprints = tuple[Floats, Floats]
 
 
 def footprints(
@@ -53,7 +42,7 @@ def footprints(
     ahead = height_m * np.tan(tilt)
     centre = places + ahead[:, None] * np.column_stack([np.sin(yaw), np.cos(yaw)])
     radius = height_m / np.cos(tilt) * np.sqrt(size_px.prod(axis=1) / np.pi) / c_px
-    return Footprints(np.where(np.isfinite(centre), centre, places), radius)
+    return np.where(np.isfinite(centre), centre, places), radius
 
 
 def stated_footprints(facts: Sequence[ImageFacts]) -> Footprints:
@@ -69,31 +58,21 @@ def stated_footprints(facts: Sequence[ImageFacts]) -> Footprints:
 
 
 def exposed_footprints(
-    project: Project, starts: Images, control: ObjectPoints, facts: Sequence[ImageFacts]
+    exposures: Orientation, control: ObjectPoints, facts: Sequence[ImageFacts]
 ) -> Footprints:
     """Footprints by the exposures, on the level of the control points."""
-    places = np.vstack([starts.values[:, 3:], control.values])
-    middle = np.nanmean(places, axis=0)
-    local = project.crs == "local"
-    frame: LocalFrame = (
-        ShiftedFrame(middle) if local else reference_frame(project.crs, project.height, middle)
-    )
-    poses = local_poses(frame, starts.values)
-    view = -matrix_from_angles(poses[:, :3])[:, 2]
+    frame = exposures.to_local(control.values)
     ground = float(np.mean(frame.to_local(control.values)[:, 2]))
-    row = {name: k for k, name in enumerate(starts.names)}
-    rows = [row.get(f.name) for f in facts]
-    unknown = np.full(6, np.nan)
-    image_poses = np.array([unknown if k is None else poses[k] for k in rows])
-    looks = np.array([unknown[:3] if k is None else view[k] for k in rows])
-    yaw_pitch = np.column_stack([np.arctan2(looks[:, 0], looks[:, 1]), np.arcsin(looks[:, 2])])
-    cameras = [project.cameras[0 if k is None else starts.camera[k]] for k in rows]
+    views = exposures.images.in_local(frame).named([f.name for f in facts])
+    looks = -views.rotation[:, 2]
+    c = np.array([camera.value("c") / camera.pitch[0] for camera in views.cameras])
     return footprints(
-        image_poses[:, 3:5],
-        image_poses[:, 5] - ground,
-        yaw_pitch,
+        views.station[:, :2],
+        views.station[:, 2] - ground,
+        np.column_stack([np.arctan2(looks[:, 0], looks[:, 1]), np.arcsin(looks[:, 2])]),
         np.array([f.size_px for f in facts], dtype=float),
-        np.array([camera.value("c") / camera.pitch[0] for camera in cameras]),
+        # Where an image is not oriented its camera does not matter.
+        c[np.maximum(views.camera, 0)],
     )
 
 
@@ -102,7 +81,7 @@ def select_pairs(seen: Footprints, count: int) -> tuple[Integers, Rule]:
 
     Few images of which nobody knows where they were taken go with all; many, with those before and after.
     """
-    placed = np.isfinite(seen.centre).all(axis=1)
+    placed = np.isfinite(seen[0]).all(axis=1)
     lost = np.flatnonzero(~placed)
     if len(lost) and count <= ALL_UP_TO:
         return np.column_stack(np.triu_indices(count, 1)).astype(np.int64), "all"
@@ -127,10 +106,11 @@ def _near(seen: Footprints, rows: Integers) -> tuple[Integers, Rule]:
     # their square.
     most_partners = 24
     partners = min(len(rows), most_partners + 1)
-    nearest = KDTree(seen.centre[rows]).query(seen.centre[rows], k=partners)
+    centre, radius = (part[rows] for part in seen)
+    nearest = KDTree(centre).query(centre, k=partners)
     distance, other = (np.reshape(part, (len(rows), -1)) for part in nearest)
     first = np.broadcast_to(np.arange(len(rows))[:, None], other.shape)
-    near, radius = first != other, seen.radius[rows]
+    near = first != other
     # Where a height is not known the nearest go together, however far.
     known = np.isfinite(radius[first] + radius[other])
     with np.errstate(invalid="ignore"):

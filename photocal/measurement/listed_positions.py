@@ -10,7 +10,7 @@ from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import InputMalformedError
 from photocal.base.geodesy import enu_offsets
 from photocal.base.time_scales import WEEK_S
-from photocal.findings.finding import Finding, Severity
+from photocal.findings.finding import Finding
 
 # No aircraft that carries a camera for survey flies faster over ground, m/s.
 FASTEST_M_S = 80.0
@@ -100,10 +100,10 @@ def judge_listed(listed: ListedPositions) -> JudgedPositions:
     kept = _firsts(listed)
     together = _belonging(listed, credible & kept)
     findings = [
-        *_named("events-without-position", ~credible, listed),
-        *_named("events-without-sigma", told & ~positive & credible, listed),
-        *_named("events-twice", ~kept, listed),
-        *_named("events-out-of-order", _backwards(listed.time_s), listed),
+        *_named("events-without-position", ~credible, listed.lines),
+        *_named("events-without-sigma", told & ~positive & credible, listed.lines),
+        *_named("events-twice", ~kept, listed.lines),
+        *_named("events-out-of-order", _backwards(listed.time_s), listed.lines),
         *_jumps(listed, credible & kept & ~together),
     ]
     return JudgedPositions(kept, credible & (together | ~kept), positive, tuple(findings))
@@ -115,13 +115,11 @@ def _offsets(place: Floats, origin: Floats) -> Floats:
     return enu_offsets(latitude, longitude, height, origin)
 
 
-def _named(
-    code: str, rows: Flags, listed: ListedPositions, severity: Severity = "doubtful", **more: float
-) -> Iterator[Finding]:
+def _named(code: str, rows: Flags, lines: Sequence[str], **more: float) -> Iterator[Finding]:
     if rows.any():
-        lines = tuple(listed.lines[k] for k in np.flatnonzero(rows))
-        figures = {"n": float(rows.sum()), "all": float(len(rows)), "lines": lines, **more}
-        yield Finding(code, severity, figures=figures)
+        named = tuple(lines[k] for k in np.flatnonzero(rows).tolist())
+        figures = {"n": float(rows.sum()), "all": float(len(rows)), "lines": named, **more}
+        yield Finding(code, "doubtful", figures=figures)
 
 
 def _firsts(listed: ListedPositions) -> Flags:
@@ -177,21 +175,20 @@ def _jumps(listed: ListedPositions, rows: Flags) -> Iterator[Finding]:
     others = np.isfinite(listed.place).all(axis=1) & ~rows
     origin = np.median(listed.place[others], axis=0)
     away = np.linalg.norm(_offsets(listed.place[rows], origin), axis=1)
-    yield from _named("events-jump", rows, listed, apart_m=float(np.max(away)), fastest_m_s=FASTEST_M_S)
+    most = float(np.max(away))
+    yield from _named("events-jump", rows, listed.lines, apart_m=most, fastest_m_s=FASTEST_M_S)
 
 
 def judge_marks(lines: Sequence[str], time_s: Floats, accuracy_s: Floats) -> list[Finding]:
     """Judge time marks of a receiver, in the order of time: pulses that came twice, times not sure."""
-    unknown = np.full((len(lines), 3), np.nan)
-    marks = ListedPositions(tuple(lines), time_s, unknown, unknown, np.full(len(lines), -1))
     close = np.concatenate([[False], np.diff(time_s) < SAME_S])
     # A receiver that has fixes knows the time of a pulse to microseconds; one that is worse had none, s.
     unsure_s = 1e-3
     unsure = accuracy_s > unsure_s
     worst = float(np.max(accuracy_s, initial=0.0)) * 1e3
     return [
-        *_named("events-twice", close, marks),
-        *_named("marks-unsure", unsure, marks, accuracy_ms=worst, limit_ms=unsure_s * 1e3),
+        *_named("events-twice", close, lines),
+        *_named("marks-unsure", unsure, lines, accuracy_ms=worst, limit_ms=unsure_s * 1e3),
     ]
 
 

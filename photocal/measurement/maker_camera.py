@@ -127,7 +127,6 @@ def _stated_lens(name: str, facts: ImageFacts) -> StatedCamera:
     width, height = facts.size_px
     middle = (width - 1) / 2, (height - 1) / 2
     xmp = facts.maker_camera
-    flat = Pinhole(facts.size_px, 1.0, 1.0, *middle)
     if (tag := _dewarp(name, facts)) is not None:
         return tag
     pitch = facts.pitch_mm
@@ -152,7 +151,7 @@ def _stated_lens(name: str, facts: ImageFacts) -> StatedCamera:
         return StatedCamera(lens, "XMP fisheye of its maker, at the middle of the picture", STATED)
     designed = _numbers(xmp.get("CalibratedFocalLength", ""))
     if len(designed) == 1 and 0.2 < designed[0] / max(facts.size_px) < 50:
-        lens = from_pinhole(Pinhole(flat.size_px, designed[0], designed[0], *middle), name, facts.name)
+        lens = from_pinhole(Pinhole(facts.size_px, designed[0], designed[0], *middle), name, facts.name)
         return StatedCamera(lens, "CalibratedFocalLength of its maker", DESIGNED)
     c, source = principal_distance_px(facts)
     guessed = source.startswith(("assumed", "guess"))

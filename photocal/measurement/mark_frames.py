@@ -13,6 +13,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import combinations, groupby, islice, zip_longest
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue
 from photocal.measurement.features import Features, FeatureSettings
 from photocal.measurement.image_facts import ImageFacts
-from photocal.measurement.match_images import MatchingPlan, MatchSettings, features_of, match
+from photocal.measurement.match_images import MatchingPlan, features_of, match
 
 # Sizes that people reduce pictures to, of the stored ones, beside what EXIF says was the full one.
 FACTORS = (1.0, 0.5, 0.25, 2.0, 4.0)
@@ -304,7 +305,8 @@ _Carried = tuple[Mark, Mark, Floats, Floats]
 
 def _carried(marks: Sequence[Mark], folder: Mapping[str, Path]) -> list[_Carried]:
     """Marks that features carry over from one picture to another."""
-    of_point = [list(some) for _, some in groupby(sorted(marks, key=_point), key=_point)]
+    by_point = attrgetter("point")
+    of_point = [list(some) for _, some in groupby(sorted(marks, key=by_point), key=by_point)]
     some_pairs = [list(islice(combinations(some, 2), MOST_PAIRS)) for some in of_point]
     # Pairs of different points first.
     pairs = [pair for turn in zip_longest(*some_pairs) for pair in turn if pair is not None]
@@ -314,17 +316,13 @@ def _carried(marks: Sequence[Mark], folder: Mapping[str, Path]) -> list[_Carried
         one, other = (_features(mark.image, folder, seen) for mark in (first, second))
         if one is None or other is None or first.image == second.image:
             continue
-        rows = match(one, other, MatchSettings())
+        rows = match(one, other)
         if len(rows) >= FEWEST:
             here, there = one.pixels[rows[:, 0]], other.pixels[rows[:, 1]]
             carried.append((first, second, here.astype(np.float64), there.astype(np.float64)))
         if len(carried) == MOST_PAIRS:
             break
     return carried
-
-
-def _point(mark: Mark) -> str:
-    return mark.point
 
 
 def _features(name: str, folder: Mapping[str, Path], seen: dict[str, Features | None]) -> Features | None:

@@ -274,13 +274,14 @@ def _find(task: tuple[ImageSource, str]) -> Floats:
 # The window of a corner must not reach the next edge, nor be so large that the lens bends the edges.
 _WINDOW = 0.4
 _SMALLEST_WINDOW_PX, _LARGEST_WINDOW_PX = 2.5, 11.0
+# Side of a ChArUco marker over that of a square.
+_MARKER = 0.75
 
 
 @dataclass(frozen=True)
 class Board:
     """A flat board of squares.
 
-    marker: side of a ChArUco marker over that of a square.
     dictionary: of the ChArUco markers.
     """
 
@@ -288,7 +289,6 @@ class Board:
     rows: int
     square_m: float
     kind: Literal["chessboard", "charuco"] = "chessboard"
-    marker: float = 0.75
     dictionary: str = "4x4_50"
 
     @property
@@ -350,9 +350,7 @@ def charuco_board(board: Board) -> Any:
     """Make the detector library's form of a ChArUco board."""
     import cv2
 
-    return cv2.aruco.CharucoBoard(
-        (board.columns, board.rows), 1.0, board.marker, dictionary(board.dictionary)
-    )
+    return cv2.aruco.CharucoBoard((board.columns, board.rows), 1.0, _MARKER, dictionary(board.dictionary))
 
 
 def _chessboard(eight: Bytes, board: Board) -> tuple[Integers, Floats] | None:
@@ -407,5 +405,5 @@ def _spacing(corners: Integers, places: Floats, board: Board) -> Floats:
     nearest[~known] = np.median(nearest[known]) if known.any() else 2 * _SMALLEST_WINDOW_PX
     if board.kind == "charuco":
         # The markers begin (1 - marker) / 2 of a square from the edges; diagonally that is sqrt 2 farther.
-        return np.asarray(nearest * (1 - board.marker) / 2 * np.sqrt(2) / _WINDOW * 0.9)
+        return np.asarray(nearest * (1 - _MARKER) / 2 * np.sqrt(2) / _WINDOW * 0.9)
     return nearest

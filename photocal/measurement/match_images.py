@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from photocal.base.arrays import Bytes, Flags, Floats, Integers
 from photocal.base.errors import InputNotFoundError, OutputError, PhotocalError
@@ -24,6 +23,7 @@ from photocal.measurement.features import (
     Arrays,
     Features,
     FeatureSettings,
+    Floats32,
     array_key,
     cached,
     combined_key,
@@ -34,8 +34,6 @@ from photocal.measurement.image_file import as_eight_bit, each_picture, left_out
 from photocal.measurement.image_pairs import Footprints, select_pairs
 from photocal.measurement.patch_matching import ImageSource
 from photocal.measurement.tracks import Tracks, join_tracks, of_images
-
-Floats32 = NDArray[np.float32]
 
 # The search reaches so many times farther than the known matches lie off their common homography, and this
 # part of the image at least: between them the ground may rise higher.
@@ -100,49 +98,37 @@ def _moved(homography: Floats, pixels: Floats32) -> Floats:
     return np.where(ahead, moved[:, :2] / np.where(ahead, moved[:, 2:], 1.0), np.nan)
 
 
-@dataclass(frozen=True)
-class MatchSettings:
-    """How features are matched.
-
-    ratio: A match is taken when it is nearer than this part of the distance to the second best.
-    epipolar_px: largest distance from the epipolar line.
-    fewest: verified matches that a pair needs; by chance a few always agree.
-    sketch, sketch_fewest: first only so many features of each image are matched, the coarsest: a pair that
-        has fewer verified matches among them is given up, for a small part of the cost. By chance about ten
-        agree. The others are sought only where these say that they should be.
-    """
-
-    ratio: float = 0.85
-    epipolar_px: float = 2.0
-    fewest: int = 20
-    sketch: int = 2500
-    sketch_fewest: int = 14
+# A match is taken when it is nearer than this part of the distance to the second best, and as near as this to
+# the epipolar line, px. A pair needs so many verified matches; by chance a few always agree.
+RATIO, EPIPOLAR_PX, FEWEST = 0.85, 2.0, 20
+# First only so many features of each image are matched, the coarsest: a pair that has fewer verified matches
+# among them is given up, for a small part of the cost. By chance about ten agree. The others are sought only
+# where these say that they should be.
+SKETCH, SKETCH_FEWEST = 2500, 14
 
 
-def match(first: Features, second: Features, settings: MatchSettings) -> Integers:
+def match(first: Features, second: Features, sketch: int = SKETCH) -> Integers:
     """Match two images and verify the matches by their epipolar geometry.
 
+    sketch: features of each that are matched first.
     returns (n, 2): indices of the features; empty when the images do not belong together.
     """
-    large = len(first.scale) > 2 * settings.sketch and len(second.scale) > 2 * settings.sketch
     windows: Iterable[Window] | None = None
-    if large:
+    if min(len(first.scale), len(second.scale)) > 2 * sketch:
         orders = ((features, np.argsort(-features.scale, kind="stable")) for features in (first, second))
-        coarse = [features.rows(order[: settings.sketch]) for features, order in orders]
-        known = _verified(coarse[0], coarse[1], settings)
-        if len(known) < settings.sketch_fewest:
+        coarse = [features.rows(order[:sketch]) for features, order in orders]
+        known = _verified(coarse[0], coarse[1])
+        if len(known) < SKETCH_FEWEST:
             return np.zeros((0, 2), dtype=np.int64)
         places = [features.pixels[index] for features, index in zip(coarse, known.T, strict=True)]
         windows = search_windows(first.pixels, second.pixels, places[0], places[1])
-    pairs = _verified(first, second, settings, windows)
-    return pairs if len(pairs) >= settings.fewest else pairs[:0]
+    pairs = _verified(first, second, windows)
+    return pairs if len(pairs) >= FEWEST else pairs[:0]
 
 
-def _verified(
-    first: Features, second: Features, settings: MatchSettings, windows: Iterable[Window] | None = None
-) -> Integers:
-    pairs = mutual_matches(first.descriptors, second.descriptors, settings.ratio, windows)
-    keep = epipolar_inliers(first.pixels[pairs[:, 0]], second.pixels[pairs[:, 1]], settings.epipolar_px)
+def _verified(first: Features, second: Features, windows: Iterable[Window] | None = None) -> Integers:
+    pairs = mutual_matches(first.descriptors, second.descriptors, RATIO, windows)
+    keep = epipolar_inliers(first.pixels[pairs[:, 0]], second.pixels[pairs[:, 1]], EPIPOLAR_PX)
     return pairs[keep]
 
 
@@ -202,7 +188,7 @@ def _rooted(descriptors: Bytes) -> Floats32:
 
 
 # Raised whenever the meaning of cached results changes: of features, of matches.
-FEATURES, MATCHES = 2, 2
+FEATURES, MATCHES = 2, 3
 # Peak memory of a process that detects features, of 3 to 24 megapixels the same (their pictures are reduced),
 # and of the one that joins them.
 WORKER_BYTES, OWN_BYTES = 1.2e9, 1.0e9
@@ -216,7 +202,6 @@ class MatchingPlan:
     cache: Path = field(default_factory=cache_folder)
     processes: Workers = field(default_factory=lambda: affordable(WORKER_BYTES, OWN_BYTES))
     features: FeatureSettings = field(default_factory=FeatureSettings)
-    matches: MatchSettings = field(default_factory=MatchSettings)
 
 
 def detect_all(
@@ -253,8 +238,7 @@ def _detect_one(image: tuple[Path, str, MatchingPlan]) -> tuple[str, str]:
 
     def make() -> Arrays:
         """Detect the features of one picture."""
-        features = detect(as_eight_bit(read_grey(path)), plan.features)
-        return {"pixels": features.pixels, "scale": features.scale, "descriptors": features.descriptors}
+        return dict(vars(detect(as_eight_bit(read_grey(path)), plan.features)))
 
     try:
         cached(plan.cache, key, _NAMES, make)
@@ -280,13 +264,11 @@ def features_of(path: Path, plan: MatchingPlan) -> Features | None:
 
 def _match_one(task: tuple[str, str, MatchingPlan]) -> Integers:
     first, second, plan = task
-    key = combined_key(MATCHES, "match", first, second, plan.matches)
+    key = combined_key(MATCHES, "match", first, second)
 
     whole = partial(_features, plan, whole=True)
-    made = cached(
-        plan.cache, key, ("pairs",), lambda: {"pairs": match(whole(first), whole(second), plan.matches)}
-    )["pairs"]
-    return np.asarray(made, dtype=np.int64)
+    made = cached(plan.cache, key, ("pairs",), lambda: {"pairs": match(whole(first), whole(second))})
+    return np.asarray(made["pairs"], dtype=np.int64)
 
 
 def _features(plan: MatchingPlan, key: str, *, whole: bool = False) -> Features:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError
 from photocal.base.options import Option, Options
 
@@ -61,6 +62,15 @@ class MeasureOptions(Options):
             raise ConfigurationError(
                 "--workers and --cluster are both given", "choose processes here or a cluster"
             )
+
+    @property
+    def gcp_sigma_m(self) -> tuple[float, float]:
+        """Sigma of control points in plane and height, m; ConfigurationError for an invalid text."""
+        form = "HORIZONTAL,VERTICAL: metres, such as 0.02,0.03"
+        horizontal, vertical = numbers_of(self.gcp_sigma, "--gcp-sigma", form)
+        if not (horizontal > 0 and vertical > 0):
+            raise ConfigurationError(f"--gcp-sigma {self.gcp_sigma} is not positive", f"give {form}")
+        return horizontal, vertical
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,7 @@ from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.control_fit import fit_control
 from photocal.measurement.image_file import left_out_entry
-from photocal.measurement.patch_matching import HALF, ImageSource, refine_reduced
+from photocal.measurement.patch_matching import HALF, ImageSource, refine
 from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties
 from photocal.measurement.tie_block import (
     GROSS,
@@ -221,7 +221,7 @@ def _matched(
     partners = _partners(pairs, np.flatnonzero(kept), len(names))
     tracks, points = _placed(views, tracks, FIRST_MISS_PX * max(1.0, longest_px / USUAL_PX))
     with progress("matching tie points precisely", 2 * len(chosen)) as done:
-        matched = refine_reduced(chosen, views, tracks, points, partners, processes, done, level)
+        matched = refine(chosen, views, tracks, points, partners, processes, done, level)
     # Matched patches nearer than this show one place.
     twin_px = 4.0
     return without_twins(matched, twin_px)

@@ -10,16 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from photocal.base.arrays import Columns, Flags, Floats, Integers
 from photocal.base.workers import Workers, run_tasks
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.measurement.features import Arrays, array_key, cached, combined_key
+from photocal.measurement.features import Arrays, Floats32, array_key, cached, combined_key
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.tracks import Tracks
-
-Floats32 = NDArray[np.float32]
 
 # Raised whenever the meaning of cached results changes.
 VERSION = 2
@@ -78,8 +75,27 @@ def refine(
     partners: Sequence[Integers],
     processes: Workers,
     done: Callable[[float], None],
+    level: int = 0,
 ) -> Tracks:
-    """Measure tracks again, in all images that should show them."""
+    """Measure tracks again, in all images that should show them.
+
+    level: how many times images are halved, where places are not known well enough: features of very large
+        images are found in reduced ones; in the stored pixels they are off by more than matching reaches.
+    """
+    if level:
+        sizes = [camera.size_px for camera in views.cameras]
+        small = [_halved(size, level) for size in sizes]
+        zoom = np.array([(w / v, h / u) for (w, h), (v, u) in zip(sizes, small, strict=True)])
+        cameras = tuple(
+            replace(camera, size_px=size, pitch=(camera.pitch[0] * x, camera.pitch[1] * y))
+            for camera, size, (x, y) in zip(views.cameras, small, zoom.tolist(), strict=True)
+        )
+        factor = zoom[views.camera]
+        reduced = replace(tracks, pixels=(tracks.pixels + 0.5) / factor[tracks.image] - 0.5)
+        halved = [replace(source, level=level) for source in sources]
+        found = refine(halved, replace(views, cameras=cameras), reduced, points, partners, processes, done)
+        back = factor[found.image]
+        return replace(found, pixels=(found.pixels + 0.5) * back - 0.5, scale=found.scale * back.mean(axis=1))
     surface = _surface(views, tracks, points)
     inside = _inside(surface.middle, views.sizes()[surface.image])
     patches = np.zeros((tracks.count, 2 * HALF + 1, 2 * HALF + 1), dtype=np.float32)
@@ -100,40 +116,6 @@ def refine(
     refined = list(run_tasks(_match_image, jobs(), processes, done))
     inner = np.flatnonzero(inside)
     return _joined(refined, inner, surface.image[inner], surface.middle[inner], tracks.conflicts)
-
-
-def refine_reduced(
-    sources: Sequence[ImageSource],
-    views: OrientedImages,
-    tracks: Tracks,
-    points: Floats,
-    partners: Sequence[Integers],
-    processes: Workers,
-    done: Callable[[float], None],
-    level: int,
-) -> Tracks:
-    """Measure tracks in images that are halved so many times, where their places are not known well enough.
-
-    Features of very large images are found in reduced ones: in the stored pixels they are off by more than
-    matching reaches.
-    """
-    if not level:
-        return refine(sources, views, tracks, points, partners, processes, done)
-    sizes = [camera.size_px for camera in views.cameras]
-    small = [_halved(size, level) for size in sizes]
-    zoom = np.array([(w / v, h / u) for (w, h), (v, u) in zip(sizes, small, strict=True)])
-    cameras = tuple(
-        replace(camera, size_px=size, pitch=(camera.pitch[0] * x, camera.pitch[1] * y))
-        for camera, size, (x, y) in zip(views.cameras, small, zoom.tolist(), strict=True)
-    )
-    factor = zoom[views.camera]
-    reduced = replace(tracks, pixels=(tracks.pixels + 0.5) / factor[tracks.image] - 0.5)
-    halved = [replace(source, level=level) for source in sources]
-    refined = refine(halved, replace(views, cameras=cameras), reduced, points, partners, processes, done)
-    back = factor[refined.image]
-    return replace(
-        refined, pixels=(refined.pixels + 0.5) * back - 0.5, scale=refined.scale * back.mean(axis=1)
-    )
 
 
 def _halved(size: tuple[int, int], level: int) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""From pictures to their block: of a project, or of a folder that is a project of pictures only."""
+"""The step from pictures to a block: of a project, of a folder, of a board or a field of coded targets."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,12 +10,13 @@ import numpy as np
 
 from photocal.base.arrays import Flags, Integers
 from photocal.base.errors import ConfigurationError
+from photocal.base.operating_system import cache_folder
 from photocal.base.policy import policy
-from photocal.base.progress import Progress
+from photocal.base.progress import Progress, quiet
 from photocal.base.text_tables import known_rows, read_table
-from photocal.base.workers import one_crew
+from photocal.base.workers import Cluster, one_crew
 from photocal.block.folder import read_points
-from photocal.block.model import NO_POINTS, ROLES, Block, Images, ObjectPoints
+from photocal.block.model import NO_POINTS, ROLES, Block, ObjectPoints
 from photocal.block.network import OTHER_SURFACE_M, block_frame
 from photocal.block.rig import make_heads
 from photocal.findings.finding import Finding
@@ -27,10 +28,12 @@ from photocal.measurement.control_review import stray_points
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, motion_while_read, read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.measurement.image_pairs import Footprints, exposed_footprints, stated_footprints
-from photocal.measurement.maker_camera import group_cameras, stated_camera, with_lens
+from photocal.measurement.maker_camera import stated_camera, with_lens
 from photocal.measurement.mark_frames import settle_marks
+from photocal.measurement.markers import parse_board
 from photocal.measurement.marks import (
     ControlMarks,
+    Sizes,
     in_map_system,
     named_after,
     read_any_marks,
@@ -46,9 +49,9 @@ from photocal.measurement.measurement_record import (
     suspected_marks,
     tie_record,
 )
-from photocal.measurement.orientation import Orientation
+from photocal.measurement.options import MeasureOptions
+from photocal.measurement.orientation import Orientation, of_exposures
 from photocal.measurement.oriented_ties import orient_ties
-from photocal.measurement.patch_matching import ImageSource
 from photocal.measurement.picture_tests import judge_cameras
 from photocal.measurement.plain_targets import FoundTargets, targets_of_project
 from photocal.measurement.position_files import (
@@ -62,6 +65,7 @@ from photocal.measurement.position_files import (
     shift_of_positions,
 )
 from photocal.measurement.release import HELD, HOLDING, with_released_cameras
+from photocal.measurement.target_block import measure_board, measure_field
 from photocal.measurement.tie_block import POSITION_SIGMA_M, marked_control, start_block
 from photocal.measurement.tie_orientation import pictures_turned
 from photocal.measurement.tracks import Tracks
@@ -69,39 +73,7 @@ from photocal.project import Project
 
 # How far heads move (m) and turn (rad) on their frame while gross errors are sought.
 LOOSE_FRAME = 0.05, 0.002
-Sizes = Mapping[str, tuple[int, int]]
 NO_CONTROL = ControlMarks("", NO_POINTS, ())
-
-
-@dataclass(frozen=True)
-class GivenControl:
-    """A file of marked control points, and what it does not say itself.
-
-    sigma_m: in plane and height, of points without.
-    crs: reference system in place of the file's, or empty.
-    height: kind of the heights.
-    """
-
-    path: Path
-    sigma_m: tuple[float, float]
-    crs: str
-    height: str
-
-    def read(self, sizes: Sizes) -> ControlMarks:
-        """Points and marks, in a map system or local, as the images of these sizes show them."""
-        given = read_control_marks(self.path, self.sigma_m, sizes)
-        given = replace(given, crs=self.crs) if self.crs else in_map_system(given)
-        return replace(given, marks=named_after(given.marks, sizes))
-
-    def require_heights(self) -> None:
-        """Refuse a file of which nobody says what its heights are."""
-        given = read_control_marks(self.path, self.sigma_m, {})
-        if given.crs != "local" and self.height not in ("ellipsoidal", "orthometric"):
-            raise ConfigurationError(
-                "does not state its height kind",
-                "give --height ellipsoidal or --height orthometric",
-                where=self.path,
-            )
 
 
 @dataclass(frozen=True)
@@ -117,7 +89,7 @@ class KnownPictures:
     project: its cameras are released in the end, and its targets sought. Without one the pictures state
         their cameras, and c, x0, y0 are held.
     camera_of, exposure_of: cameras of pictures, and what those of heads on one frame have in common.
-    starts, exposures: orientations from a flight log, to start from and to predict targets.
+    exposures: orientations from a flight log, to start from and to predict targets.
     """
 
     name: str
@@ -131,8 +103,70 @@ class KnownPictures:
     position_sigma: tuple[float, float, float] | None = POSITION_SIGMA_M
     camera_of: Mapping[str, int] = field(default_factory=dict)
     exposure_of: Mapping[str, str] = field(default_factory=dict)
-    starts: Images | None = None
     exposures: Orientation | None = None
+
+
+def measure(
+    pictures: Project | Path | str, options: MeasureOptions | None = None, progress: Progress = quiet
+) -> MeasuredBlock:
+    """Measure pictures, and make the block that `photocal.adjust` takes.
+
+    Parameters
+    ----------
+    pictures
+        A project that was read, or the folder of the pictures.
+    options
+        What is measured in a folder (tie points, with marked control, a board, a field of coded targets), and
+        with which means. A project names its own control and targets.
+    progress
+        Told how far the work is.
+
+    Returns
+    -------
+    MeasuredBlock
+        The block, and the record of how it was measured (`measurement.json`).
+
+    Raises
+    ------
+    ConfigurationError
+        When options do not go with what is measured.
+    PhotocalError
+        When too few pictures can be read, show the targets, or are oriented.
+    """
+    options = options or MeasureOptions()
+    if isinstance(pictures, Project):
+        if options.board or options.gcp is not None:
+            raise ConfigurationError("a project names its own control", "give --images with --board or --gcp")
+        # What `photocal exposures` or `photocal run` left in the work folder: good to start from.
+        folder = pictures.output / "exposures"
+        exposures = of_exposures(pictures, folder) if (folder / "images.csv").exists() else None
+        plan = _plan(options, pictures.picture_folder)
+        return measure_project(pictures, exposures, plan, progress, options.marks)
+    if options.marks:
+        raise ConfigurationError(
+            "--marks has no coordinates of its points",
+            "give PROJECT.toml, whose control table has them, or --gcp with both",
+        )
+    folder = Path(pictures)
+    paths, name = list_images(folder), folder.resolve().name
+    if options.field:
+        cache = (options.cache or cache_folder()).resolve()
+        lens = partial(with_lens, c_px=options.c_px, focal_mm=options.focal_mm)
+        return measure_field(paths, options.field, options.distances, name, lens, cache, progress)
+    if options.board:
+        board = parse_board(options.board, options.square_m, options.charuco)
+        return measure_board(paths, board, name, progress)
+    return measure_images(paths, name, _plan(options, folder), progress, options)
+
+
+def _plan(options: MeasureOptions, images: Path) -> MatchingPlan:
+    usual = MatchingPlan()
+    cache = (options.cache or usual.cache).resolve()
+    if not options.cluster:
+        return MatchingPlan(cache, options.workers or usual.processes)
+    cluster = Cluster(options.cluster)
+    cluster.require_shared(images, cache)
+    return MatchingPlan(cache, cluster)
 
 
 def measure_images(
@@ -140,36 +174,49 @@ def measure_images(
     name: str,
     plan: MatchingPlan,
     progress: Progress,
-    lens: Given = with_lens,
-    control: GivenControl | None = None,
+    options: MeasureOptions | None = None,
 ) -> MeasuredBlock:
     """Measure tie points in images, join them with marked control points, and make their block.
 
+    options: lens, and the file of the control points.
     raises PhotocalError: when the file or too few images can be read, or the images are not oriented.
     """
-    if control is not None:
-        # What is wrong with the file is told before the images are looked at.
-        control.require_heights()
+    options = options or MeasureOptions()
+    file, sigma_m, height, crs = options.gcp, options.gcp_sigma_m, options.height, options.crs
+    # What is wrong with the file is told before the images are looked at.
+    placed = file is not None and read_control_marks(file, sigma_m, {}).crs != "local"
+    if placed and height not in ("ellipsoidal", "orthometric"):
+        raise ConfigurationError(
+            "does not state its height kind", "give --height ellipsoidal or --height orthometric", where=file
+        )
+
+    def read(sizes: Sizes) -> ControlMarks:
+        """Points and marks, in a map system or local, as the images of these sizes show them."""
+        if file is None:
+            return NO_CONTROL
+        given = read_control_marks(file, sigma_m, sizes)
+        given = replace(given, crs=crs) if crs else in_map_system(given)
+        return replace(given, marks=named_after(given.marks, sizes))
 
     def told(tracked: ImageTracks, given: ControlMarks) -> dict[str, Any]:
         """Say for the record where the camera and the places come from."""
         sources = sorted({stated_camera("", facts).source for facts in tracked.facts})
-        if control is None:
+        if file is None:
             _, origin = local_places(tracked.facts)
             at = dict(zip(("latitude_deg", "longitude_deg", "height_m"), origin, strict=True))
             own: dict[str, Any] = {"kind": "tie points", "origin": at if np.isfinite(origin[0]) else None}
         else:
-            file = {"file": control.path.name, "sigma_assumed_m": list(control.sigma_m)}
+            control = {"file": file.name, "sigma_assumed_m": list(sigma_m), "marks": len(given.marks)}
             own = {
                 "kind": "tie and control points",
-                "system": {"crs": given.crs, "height": control.height},
-                "control": {**file, "marks": len(given.marks)},
+                "system": {"crs": given.crs, "height": height},
+                "control": control,
             }
         return {"principal_distance_from": sources, **own}
 
-    read = (lambda _: NO_CONTROL) if control is None else control.read
-    height = "" if control is None else control.height
-    known = KnownPictures(name, paths, lens, stated_footprints, read, height, told)
+    lens = partial(with_lens, c_px=options.c_px, focal_mm=options.focal_mm)
+    kind = "" if file is None else height
+    known = KnownPictures(name, paths, lens, stated_footprints, read, kind, told)
     return _measured(known, plan, progress)
 
 
@@ -195,21 +242,17 @@ def measure_project(
     if marks_files:
         sizes = {facts.name: facts.size_px for facts in each_picture(paths, read_facts)[0]}
         by_hand += tuple(mark for file in marks_files for mark in read_any_marks(file, sizes))
-    # What was observed of them stands elsewhere: in the block they are start values.
-    starts: Images | None = None
-    if exposures is not None:
-        starts = Images.observed(replace(exposures.images, covariance=None))
     if not project.cameras:
         raise ConfigurationError("the project has no [[camera]]", "add one: see docs/block-folder.md")
     camera_of, exposure_of = pictures_of_heads(project)
-    if starts is not None:
-        camera_of |= dict(zip(starts.names, starts.camera.tolist(), strict=True))
+    if exposures is not None:
+        camera_of |= dict(zip(exposures.images.names, exposures.images.camera.tolist(), strict=True))
     sigma = project.images.position_sigma_m
     known = KnownPictures(
         project.name,
         paths,
         better_known(project, [path.name for path in paths]),
-        stated_footprints if starts is None else partial(exposed_footprints, project, starts, points),
+        stated_footprints if exposures is None else partial(exposed_footprints, exposures, points),
         lambda _: ControlMarks(project.crs, points, tuple(by_hand)),
         project.height if project.crs != "local" else "",
         lambda *_: {"kind": "project"},
@@ -217,7 +260,6 @@ def measure_project(
         None if sigma == "free" else sigma or POSITION_SIGMA_M,
         camera_of,
         exposure_of,
-        starts,
         exposures,
     )
     return _measured(known, plan, progress)
@@ -235,7 +277,12 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     control, strays = _without_strays(control)
     start = _start(known, control, tracked.facts, given)
     lenses = [start.cameras[k] for k in start.images.camera]
-    targets = _targets(known, tracked.sources, lenses, control.points, plan, progress)
+    targets = FoundTargets()
+    if project is not None:
+        surveyed, workers = control.points, plan.processes
+        targets = targets_of_project(
+            project, tracked.sources, lenses, known.exposures, surveyed, workers, progress
+        )
     folder = {path.name: path for path in known.paths}
     settled, _, unused, settling = settle_marks(control.marks, control.points.names, tracked.facts, folder)
     block, _ = with_marks(start, (*settled, *targets.marks))
@@ -248,12 +295,12 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     block = _as_fitted(block, oriented.marked)
     final, measured, findings = oriented.adjusted, oriented.adjusted.block, list(oriented.findings)
     if project is not None:
-        holding = HOLDING if known.starts is None else ((),)
+        holding = HOLDING if known.exposures is None else ((),)
         open_lens = project.images.lens == "unknown"
         with progress("adjusting the cameras", None):
             final, measured, findings = with_released_cameras(oriented, block, holding, open_lens=open_lens)
         oriented = replace(oriented, adjusted=final, left_out=(*oriented.left_out, *final.left_out))
-        if known.starts is None:
+        if known.exposures is None:
             gimbal = {facts.name: facts.gimbal_deg for facts in tracked.facts}
             recorded = np.radians([gimbal[name] for name in measured.images.names])
             findings += pictures_turned(measured.images.names, final.values, recorded)
@@ -265,12 +312,9 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     left_out = (*tracked.left_out, *oriented.left_out)
     lost = [*settling, *(finding for _, finding in unused)]
     marks = findings_of_marks(lost, targets.strangers, suspects, left_out)
-    if given is None:
-        names, members = group_cameras(tracked.facts)
-    else:
-        names, members = tuple(camera.id for camera in given[0]), given[1]
-    findings += judge_cameras(tracked.facts, names, members.tolist())
-    frame = None if project is None or known.starts is not None else project.images.position_frame
+    cameras = [camera.id for camera in start.cameras]
+    findings += judge_cameras(tracked.facts, cameras, start.images.camera.tolist())
+    frame = None if project is None or known.exposures is not None else project.images.position_frame
     placed = next((facts for facts in tracked.facts if facts.has_position), None)
     if project is not None and frame is not None and placed is not None:
         findings.append(moved_finding(shift_of_positions(frame, project.crs, placed)))
@@ -281,7 +325,7 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
         **known.told(tracked, control),
         "marks": {"by_hand": len(control.marks), "targets": len(targets.marks), "used": used},
         "targets": targets.record,
-        "positions": positions if known.starts is None else None,
+        "positions": positions if known.exposures is None else None,
         "unknown_marks": [f"{m.point} in {m.image}" for m, _ in unused],
         "unknown_targets": list(targets.strangers),
         "suspected_marks": suspects,
@@ -334,11 +378,11 @@ def _start(
     given: tuple[tuple[Camera, ...], Integers] | None,
 ) -> Block:
     """The block that marks and tie points are added to."""
-    places, starts = np.full((len(facts), 3), np.nan), known.starts
+    places = np.full((len(facts), 3), np.nan)
     if not control.crs:
         return start_block(facts, local_places(facts)[0], known.name)
     # Where the images say they are; in a local system that says nothing.
-    if control.crs != "local" and starts is None:
+    if control.crs != "local" and known.exposures is None:
         places = map_places(facts, control.crs)
     block = start_block(facts, places, known.name, known.position_sigma, given)
     block = replace(
@@ -351,12 +395,10 @@ def _start(
     if known.project is None:
         return block
     images, cameras = block.images, block.cameras
-    if starts is not None:
-        place = {name: k for k, name in enumerate(starts.names)}
-        rows = np.array([place.get(image.name, -1) for image in facts])
-        oriented = (rows >= 0)[:, None]
-        values = np.where(oriented, starts.values[rows], np.nan)
-        images = replace(images, values=values, sigma=np.where(oriented, starts.sigma[rows], np.inf))
+    if known.exposures is not None:
+        # What was observed of them stands elsewhere: in the block they are start values.
+        oriented = known.exposures.images.named(images.names)
+        images = replace(images, values=oriented.values, sigma=np.full_like(images.sigma, np.inf))
     # The grid's axes are east and north but for its convergence.
     velocity = np.array([picture.velocity_m_s for picture in facts]).reshape(-1, 3)
     readout = np.array([camera.value("readout") for camera in cameras])[images.camera]
@@ -366,21 +408,6 @@ def _start(
         block,
         images=replace(images, motion=motion, motion_sigma=motion_sigma, exposure=exposure),
         heads=make_heads(known.project.contents.head, [own.id for own in cameras], known.project.path),
-    )
-
-
-def _targets(
-    known: KnownPictures,
-    sources: Sequence[ImageSource],
-    lenses: Sequence[Camera],
-    points: ObjectPoints,
-    plan: MatchingPlan,
-    progress: Progress,
-) -> FoundTargets:
-    if known.project is None:
-        return FoundTargets()
-    return targets_of_project(
-        known.project, sources, lenses, known.exposures, points, plan.processes, progress
     )
 
 

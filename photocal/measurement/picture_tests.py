@@ -136,8 +136,11 @@ def judge_pictures(facts: Sequence[ImageFacts]) -> list[Finding]:
             findings.append(_about(code, others, facts, "doubtful", told=stated(others[0]), usual=usual))
             left_out = {id(image) for image in others}
             alike = [image for image in alike if id(image) not in left_out]
-    for test in (_fixes, _old_corrections, _corrected, _sharpened, _smeared, _turned_over, _beside_table):
+    for test in (_fixes, _old_corrections, _smeared, _beside_table):
         findings += test(facts)
+    for code, severity, sign in _SIGNS:
+        if shown := [image for image in facts if sign(image)]:
+            findings.append(_about(code, shown, facts, severity))
     return findings
 
 
@@ -206,21 +209,6 @@ def _old_corrections(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
         yield _about("corrections-old", old, facts, "doubtful", age_s=oldest, limit_s=oldest_correction_s)
 
 
-def _corrected(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
-    """Find pictures whose distortion the camera took out: what is calibrated is then not the lens."""
-    profiled = ("1", "true")
-    done = [image for image in facts if image.dewarped == 1 or image.lens_profile.lower() in profiled]
-    if done:
-        yield _about("pictures-dewarped", done, facts, "doubtful")
-
-
-def _sharpened(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
-    # EXIF: 2 is hard.
-    hard_sharpness = 2
-    if hard := [image for image in facts if image.sharpness == hard_sharpness]:
-        yield _about("pictures-sharpened", hard, facts, "note")
-
-
 def _smeared(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
     """Find pictures that their flight smears while the shutter is open."""
     smears = [(smear_of(image), image) for image in facts]
@@ -250,19 +238,26 @@ def flying_height_m(image: ImageFacts) -> float:
     return image.laser_m if np.isfinite(image.laser_m) else image.relative_altitude_m
 
 
-def _turned_over(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
-    """Find gimbals that hang upside down, roll over or look behind nadir."""
+def _turned_over(image: ImageFacts) -> bool:
+    """Whether the gimbal hangs upside down, has rolled over or looks behind nadir."""
+    roll, pitch, _ = image.gimbal_deg
+    # A gimbal that looks further behind than this has turned over; cameras without one swing by less.
+    past_nadir_deg = 15.0
+    behind = pitch < -90.0 - past_nadir_deg
+    return bool(image.gimbal_reverse == 1 or image.camera_reverse == 1 or abs(roll) > 90.0 or behind)
 
-    def over(image: ImageFacts) -> bool:
-        """Whether one of the signs of it is there."""
-        roll, pitch, _ = image.gimbal_deg
-        # A gimbal that looks further behind than this has turned over; cameras without one swing by less.
-        past_nadir_deg = 15.0
-        behind = pitch < -90.0 - past_nadir_deg
-        return bool(image.gimbal_reverse == 1 or image.camera_reverse == 1 or abs(roll) > 90.0 or behind)
 
-    if turned := [image for image in facts if over(image)]:
-        yield _about("gimbal-turned-over", turned, facts, "note")
+# What a single picture shows: code, severity and sign. Of a picture whose distortion the camera took out what
+# is calibrated is not the lens; a sharpness of 2 is hard (EXIF).
+_SIGNS: tuple[tuple[str, Severity, Callable[[ImageFacts], bool]], ...] = (
+    (
+        "pictures-dewarped",
+        "doubtful",
+        lambda image: image.dewarped == 1 or image.lens_profile.lower() in ("1", "true"),
+    ),
+    ("pictures-sharpened", "note", lambda image: image.sharpness == 2),
+    ("gimbal-turned-over", "note", _turned_over),
+)
 
 
 def _beside_table(facts: Sequence[ImageFacts]) -> Iterator[Finding]:

@@ -92,7 +92,12 @@ def read_places(
         else:
             refused.append(say(f"new.row_{why[0]}", place=table.place(row), **why[1]))
     if not kept:
-        raise _no_place(path, rows[filled[0]] if filled else ())
+        name, *cells = rows[filled[0]] if filled else ("", "", "", "")
+        bad = next((n for n, column in enumerate(parsed) if not filled or column[0] is None), 2)
+        what = f"{'XYZ'[bad]} of {name or 'the first row'} is {cells[bad]!r}, not a number"
+        raise InputMalformedError(
+            f"has no row with a point and its place: {what}", "is it the right file?", where=path
+        )
     plane = 1.0 if degrees else (stated["X"] or 1.0)
     places = np.array([[column[n] for column in parsed] for n in kept], dtype=np.float64)
     # In one unit; what states none is in that of the others.
@@ -110,19 +115,6 @@ def read_places(
         level=level,
     )
     return only, places, control
-
-
-def _no_place(path: Path, row: Sequence[str]) -> InputMalformedError:
-    """What to say of a table none of whose rows is a point, by the first of them."""
-    name, *cells = (*row, "", "", "", "")[:4]
-    bad = next(
-        (axis for axis, cell in zip("XYZ", cells, strict=True) if _value(cell, comma=True) is None), "Z"
-    )
-    cell = dict(zip("XYZ", cells, strict=True))[bad]
-    what = f"{bad} of {name or 'the first row'} is {cell!r}, not a number"
-    return InputMalformedError(
-        f"has no row with a point and its place: {what}", "is it the right file?", where=path
-    )
 
 
 def _height_column(path: Path, words: Sequence[str]) -> str:

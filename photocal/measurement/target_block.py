@@ -10,7 +10,7 @@ import numpy as np
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.snooping import snoop
 from photocal.adjustment.solution import Solution
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Columns, Floats, Integers
 from photocal.base.errors import IllPosedError, InputNotFoundError
 from photocal.base.files import digest
 from photocal.base.progress import Progress
@@ -42,7 +42,7 @@ FEWEST_PICTURES, FEWEST_TARGETS = 4, 8
 
 
 @dataclass(frozen=True)
-class TargetView:
+class TargetView(Columns):
     """Points that a picture shows.
 
     point (n,): numbers of the points.
@@ -54,11 +54,6 @@ class TargetView:
     point: Integers
     pixels: Floats
     sigma: Floats
-
-    def some(self, points: Integers) -> "TargetView":
-        """Keep what is seen of these points."""
-        kept = np.isin(self.point, points)
-        return replace(self, point=self.point[kept], pixels=self.pixels[kept], sigma=self.sigma[kept])
 
 
 def measure_board(paths: Sequence[Path], board: Board, name: str, progress: Progress) -> MeasuredBlock:
@@ -167,7 +162,7 @@ def measure_field(
     # 17.1 is the target's own first corner, then clockwise as it is printed.
     names = tuple(f"{corner // 4}.{corner % 4 + 1}" for corner in corners)
     points = ObjectPoints(names, np.full((len(names), 3), np.nan))
-    block = _block([view.some(corners) for view in used], corners, points, name)
+    block = _block([view.rows(np.isin(view.point, corners)) for view in used], corners, points, name)
     if distances is not None:
         block = replace(block, relations=read_relations(distances, "distance", names, "the pictures"))
     block, rejected = without_gross_corners(block)

@@ -438,8 +438,6 @@ class TargetImage:
         self, turn: float, aside: tuple[float, float] = (0.0, 0.0), blur_px: float = _BLUR_PX
     ) -> Floats:
         """Draw the target: 1 inside, 0 outside, about the middle of the array."""
-        from scipy.special import erf
-
         a, b = self._plane(aside)
         u, v = a * np.cos(turn) + b * np.sin(turn), b * np.cos(turn) - a * np.sin(turn)
         sharp = self.semi_axes[1] / (np.sqrt(2) * blur_px)

@@ -38,15 +38,8 @@ class Disc:
     black: bool = True
 
 
-@dataclass(frozen=True)
-class Outline:
-    """A filled polygon."""
-
-    corners: tuple[Place, ...]
-    black: bool = True
-
-
-Shape = Disc | Outline
+# Or the corners of a black polygon.
+Shape = Disc | tuple[Place, ...]
 
 
 @dataclass(frozen=True)
@@ -72,8 +65,8 @@ def plain_target(kind: str, size_mm: float) -> Sheet:
         "ring": (Disc(size_mm), Disc(HOLE * size_mm, black=False)),
         "cross": (_rectangle(-half, -bar, half, bar), _rectangle(-bar, -half, bar, half)),
         "hourglass": (
-            Outline(((0, 0), (-half, -half), (half, -half))),
-            Outline(((0, 0), (half, half), (-half, half))),
+            ((0, 0), (-half, -half), (half, -half)),
+            ((0, 0), (half, half), (-half, half)),
         ),
     }
     if kind not in drawn:
@@ -115,18 +108,15 @@ def board_target(board: Board) -> Sheet:
         return Sheet(title, _cells((row + column) % 2 == 0, square), size, square)
     codes = dictionary(board.dictionary)
     side = int(codes.markerSize) + 2
-    # Marker cells and the space around them as multiples of one step.
+    # Marker cells, three quarters of a square, and the space around them as multiples of one step.
     step = 8 * side
-    marker = round(board.marker * step / side) * side
     drawn = charuco_board(board).generateImage((board.columns * step, board.rows * step), None, 0, 1)
     cells = np.asarray(drawn) < 128
-    if marker / step != board.marker:
-        raise ConfigurationError(f"markers of {board.marker} squares cannot be drawn", "use 0.75 or 0.5")
     return Sheet(f"{title}, {board.dictionary}", _cells(cells, square / step), size, square / 2)
 
 
-def _rectangle(left: float, top: float, right: float, bottom: float) -> Outline:
-    return Outline(((left, top), (right, top), (right, bottom), (left, bottom)))
+def _rectangle(left: float, top: float, right: float, bottom: float) -> tuple[Place, ...]:
+    return (left, top), (right, top), (right, bottom), (left, bottom)
 
 
 def _cells(black: Cells, cell: float) -> tuple[Shape, ...]:
@@ -201,13 +191,12 @@ def _require_room(sheet: Sheet, paper: str) -> None:
 
 
 def _drawn(shape: Shape, middle: tuple[float, float]) -> str:
-    fill = "black" if shape.black else "white"
     x, y = middle
     if isinstance(shape, Disc):
-        r = shape.diameter / 2
+        r, fill = shape.diameter / 2, "black" if shape.black else "white"
         return f"#place(dx: {x - r:.4f}mm, dy: {y - r:.4f}mm, circle(radius: {r:.4f}mm, fill: {fill}))"
-    corners = ", ".join(f"({x + a:.4f}mm, {y + b:.4f}mm)" for a, b in shape.corners)
-    return f"#place(polygon(fill: {fill}, {corners}))"
+    corners = ", ".join(f"({x + a:.4f}mm, {y + b:.4f}mm)" for a, b in shape)
+    return f"#place(polygon(fill: black, {corners}))"
 
 
 def _line(start: tuple[float, float], end: tuple[float, float]) -> str:

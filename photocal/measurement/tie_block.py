@@ -59,7 +59,8 @@ def start_block(
     poses[:, 3:] = places
     sigma = np.full((len(facts), 6), np.inf)
     if assumed is not None:
-        sigma[:, 3:] = position_sigma(facts, assumed)
+        stated = np.array([f.position_sigma_m for f in facts])
+        sigma[:, 3:] = np.where(np.isfinite(stated) & (stated > 0), stated, assumed)
     sigma[np.isnan(places).any(axis=1)] = np.inf
     # Fewer positions do not fix a datum.
     fewest_positions = 3
@@ -73,14 +74,6 @@ def start_block(
         temperature=camera_temperatures(facts),
     )
     return Block(name, "local", "", "control" if enough else "free", cameras, images)
-
-
-def position_sigma(
-    facts: Sequence[ImageFacts], assumed: tuple[float, float, float] = POSITION_SIGMA_M
-) -> Floats:
-    """Sigma of the positions, east, north, up, shape (n, 3): as stated, else assumed."""
-    stated = np.array([f.position_sigma_m for f in facts])
-    return np.where(np.isfinite(stated) & (stated > 0), stated, assumed)
 
 
 def without_single_rays(block: Block) -> Block:

@@ -90,7 +90,7 @@ def oriented(block: Block, tracks: Tracks) -> tuple[Block, Floats, tuple[str, ..
         added = more.oriented & ~model.oriented
         count = int(added.sum())
         reasons[added] = f"belongs to another block of {count} images; no point of three images joins the two"
-        move, _ = _placing(more, control, given, _position_sigma(block, given))
+        move, _ = _placing(more, control, given, sigma)
         if determined and count >= FEWEST_JOINED and _turn_sigma(more, move, given) < JOINED_TURN:
             model = _together(model, _moved(more, move), added)
             reasons[added] = ""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import coo_matrix, csr_array
 from scipy.spatial import cKDTree
 
 from photocal.base.arrays import Columns, Flags, Floats, Integers
@@ -47,7 +47,6 @@ class Tracks(Columns):
 
 def join_tracks(features: Sequence[Features], pairs: Integers, matches: Sequence[Integers]) -> Tracks:
     """Join matches of pairs to tracks; those with two places in one image are taken out."""
-    from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
     offset = np.r_[0, np.cumsum([len(f.pixels) for f in features])]

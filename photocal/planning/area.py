@@ -1,7 +1,5 @@
 """The area to be flown, and the local plane that it is laid into."""
 
-import csv
-import io
 import json
 import math
 from dataclasses import dataclass
@@ -12,6 +10,7 @@ import numpy as np
 
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import InputMalformedError, reading
+from photocal.base.text_tables import read_wider_table
 
 
 @dataclass(frozen=True)
@@ -171,7 +170,11 @@ def read_area(path: str | Path) -> Area:
     [-22.12, -22.12, -22.13]
     """
     path = Path(path)
-    readers = {".geojson": _from_geojson, ".json": _from_geojson, ".kml": _from_kml, ".csv": _from_csv}
+    if path.suffix.lower() == ".csv":
+        table = read_wider_table(path, ("lat_deg", "lon_deg"))
+        longitude, latitude = (table.numbers(name).tolist() for name in ("lon_deg", "lat_deg"))
+        return area_from_corners(list(zip(longitude, latitude, strict=True)), str(path))
+    readers = {".geojson": _from_geojson, ".json": _from_geojson, ".kml": _from_kml}
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise InputMalformedError(
@@ -228,10 +231,10 @@ def _from_kml(text: str, where: str) -> list[tuple[float, float]]:
         root = fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as refusal:
         raise wrong(f"is not KML ({refusal})") from refusal
-    polygons = [element for element in root.iter() if _local(element.tag) == "Polygon"]
+    polygons = root.findall(".//{*}Polygon")
     if len(polygons) != 1:
         raise wrong(f"holds {len(polygons)} polygons, one is needed", "keep the polygon to be flown")
-    rings = [element for element in polygons[0].iter() if _local(element.tag) == "coordinates"]
+    rings = polygons[0].findall(".//{*}coordinates")
     if len(rings) != 1:
         raise wrong("is a polygon with holes or without corners", "keep the outer ring")
     try:
@@ -239,27 +242,3 @@ def _from_kml(text: str, where: str) -> list[tuple[float, float]]:
         return [(float(field[0]), float(field[1])) for field in fields]
     except (ValueError, IndexError) as refusal:
         raise wrong("has a corner that is not lon,lat") from refusal
-
-
-def _local(tag: object) -> str:
-    return str(tag).rpartition("}")[2]
-
-
-def _from_csv(text: str, where: str) -> list[tuple[float, float]]:
-    try:
-        reader = csv.DictReader(io.StringIO(text))
-        if not {"lat_deg", "lon_deg"} <= set(reader.fieldnames or ()):
-            raise InputMalformedError("has no columns lat_deg and lon_deg", where=where)
-        corners = []
-        for row in reader:
-            try:
-                corners.append((float(row["lon_deg"]), float(row["lat_deg"])))
-            except (TypeError, ValueError) as refusal:
-                raise InputMalformedError(
-                    "is not a position",
-                    where=f"{where}, line {reader.line_num}",
-                    remedy="give lat_deg and lon_deg",
-                ) from refusal
-    except csv.Error as refusal:
-        raise InputMalformedError(f"is not a table ({refusal})", where=where) from refusal
-    return corners

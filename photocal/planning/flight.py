@@ -1,30 +1,134 @@
-"""The whole plan of a flight: camera, heights, overlaps, strips, what they give, and places for control."""
+"""The whole plan of a flight: camera, heights, overlaps, strips, what they give, and places for control.
+
+Flight geometry is that over level ground, from the frame of the camera; precision is that to be expected.
+"""
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from photocal.base.arrays import Floats, spread
 from photocal.base.errors import ConfigurationError
 from photocal.planning.area import Area, LocalPlane, grid, inside, polygon_area
-from photocal.planning.frame import (
-    ExpectedPrecision,
-    PlanningCamera,
-    Side,
-    air_base,
-    corner_precision,
-    expected_altimetric_accuracy,
-    exposure_interval,
-    footprint,
-    ground_sample_distance,
-    scale_denominator,
-)
 
+Side = Literal["columns", "rows"]
 # Control points and check points, east and north in the plane of the flight, m.
 Layout = tuple[Floats, Floats]
 # Side of the grid of candidate places as a share of the root of the area.
 _GRID_SHARE = 1.0 / 60.0
+
+
+@dataclass(frozen=True)
+class PlanningCamera:
+    """Camera frame for planning.
+
+    pixel_m: pixel pitch, m, the same in both directions.
+    """
+
+    focal_m: float
+    pixel_m: float
+    columns: int
+    rows: int
+
+    def __post_init__(self) -> None:
+        if not (self.focal_m > 0.0 and self.pixel_m > 0.0 and self.columns > 0 and self.rows > 0):
+            raise ConfigurationError("focal length, pixel size and image size must be positive")
+
+
+def scale_denominator(gsd_m: float, pixel_m: float) -> float:
+    """Give the photo scale that has a ground sample distance (canon-elph study, equation 31)."""
+    return gsd_m / pixel_m
+
+
+def flying_height(focal_m: float, denominator: float) -> float:
+    """Give the height above ground of a photo scale (canon-elph study, equation 32).
+
+    returns: height above ground, m; with `scale_denominator` it is f GSD / pixel (Alves Junior et al. 2015,
+        equation 1).
+    """
+    return focal_m * denominator
+
+
+def ground_sample_distance(height_m: float, frame: PlanningCamera) -> float:
+    """Give the size of a pixel on level ground."""
+    return height_m * frame.pixel_m / frame.focal_m
+
+
+def footprint(gsd_m: float, frame: PlanningCamera) -> tuple[float, float]:
+    """Give the ground that a vertical photo shows."""
+    return frame.columns * gsd_m, frame.rows * gsd_m
+
+
+def air_base(overlap: float, ground_side_m: float) -> float:
+    """Give the distance of neighbouring photos or strips (canon-elph study, equation 33)."""
+    if not 0.0 <= overlap < 1.0:
+        raise ConfigurationError(
+            f"an overlap of {overlap:g} cannot be flown", remedy="give a fraction below 1, such as 0.8"
+        )
+    return (1.0 - overlap) * ground_side_m
+
+
+def image_point(column: float, row: float, frame: PlanningCamera) -> tuple[float, float]:
+    """Give photo coordinates of a pixel (canon-elph study, equations 34-35)."""
+    return (
+        (column - (frame.columns - 1) / 2.0) * frame.pixel_m,
+        -(row - (frame.rows - 1) / 2.0) * frame.pixel_m,
+    )
+
+
+def exposure_interval(base_m: float, ground_speed_m_s: float) -> float:
+    """Give the time between exposures at a ground speed."""
+    if not ground_speed_m_s > 0.0:
+        raise ConfigurationError(f"a ground speed of {ground_speed_m_s:g} m/s allows no exposure interval")
+    return base_m / ground_speed_m_s
+
+
+def parallax_sigma(image_sigma_m: float) -> float:
+    """Give the standard deviation of an x parallax, the difference of two measured coordinates."""
+    return math.sqrt(2.0) * image_sigma_m
+
+
+def stereo_precision(
+    height_m: float, base_m: float, focal_m: float, point_m: tuple[float, float], image_sigma_m: float
+) -> dict[str, float]:
+    """Expect the precision of a point intersected from one pair of vertical photos.
+
+    returns: standard deviations, m, "x" and "y" along the axes of the photo, "z" in height, and "plane" of
+        both coordinates (canon-elph study, equation 39).
+    """
+    parallax = parallax_sigma(image_sigma_m)
+    scale = height_m / focal_m
+
+    def plane(coordinate: float) -> float:
+        """Standard deviation of a ground coordinate: of its parallax and of the image point itself."""
+        return scale * math.hypot(coordinate / focal_m * height_m / base_m * parallax, image_sigma_m)
+
+    x, y = map(plane, point_m)
+    height = normal_case_height_sigma(height_m, base_m, focal_m, parallax)
+    return {"x": x, "y": y, "z": height, "plane": math.hypot(x, y)}
+
+
+def normal_case_height_sigma(
+    height_m: float, base_m: float, focal_m: float, parallax_sigma_m: float
+) -> float:
+    """Expect the standard deviation of a height in the normal case."""
+    return height_m**2 / (base_m * focal_m) * parallax_sigma_m
+
+
+def expected_altimetric_accuracy(height_m: float, base_m: float, focal_m: float, pixel_m: float) -> float:
+    """Give the dz of the calibration report form of the Brazilian ministry of defence."""
+    return normal_case_height_sigma(height_m, base_m, focal_m, parallax_sigma(pixel_m))
+
+
+def corner_precision(
+    frame: PlanningCamera, height_m: float, base_m: float, image_sigma_px: float
+) -> dict[str, float]:
+    """Expect the precision far out in the image, where it is worst."""
+    share = 0.95
+    point = image_point(share * frame.columns, share * frame.rows, frame)
+    return stereo_precision(height_m, base_m, frame.focal_m, point, image_sigma_px * frame.pixel_m)
 
 
 @dataclass(frozen=True)
@@ -152,7 +256,7 @@ class LevelGeometry:
     base_m: float
     strip_spacing_m: float
     exposure_interval_s: float
-    precision: ExpectedPrecision
+    precision: dict[str, float]
     dz_m: float
 
 
@@ -205,17 +309,18 @@ def level_geometry(request: FlightRequest, height_m: float) -> LevelGeometry:
         raise ConfigurationError(f"a flying height of {height_m:g} m above ground is not possible")
     frame = request.frame
     gsd = ground_sample_distance(height_m, frame)
-    across: Side = "columns" if request.along == "rows" else "rows"
-    base = air_base(request.forward_overlap, frame.side_px(request.along) * gsd)
+    ground = footprint(gsd, frame)
+    along, across = ground if request.along == "columns" else ground[::-1]
+    base = air_base(request.forward_overlap, along)
     # Half a pixel: what the canon-elph study takes for a tie point in one image.
     image_sigma_px = 0.5
     return LevelGeometry(
         height_m,
         scale_denominator(gsd, frame.pixel_m),
         gsd,
-        footprint(gsd, frame),
+        ground,
         base,
-        air_base(request.side_overlap, frame.side_px(across) * gsd),
+        air_base(request.side_overlap, across),
         exposure_interval(base, request.speed_m_s),
         corner_precision(frame, height_m, base, image_sigma_px),
         expected_altimetric_accuracy(height_m, base, frame.focal_m, frame.pixel_m),

@@ -10,8 +10,11 @@ from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import IllPosedError
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.smear import SMEAR_LIMIT_PX, smear_px
-from photocal.planning.frame import TILT_TOLERANCE_RAD, TILT_WITH_EFFECT_RAD
 
+# Konecny: from here on tilt changes the overlap; 5 degrees is the conventional tolerance of vertical
+# photographs (Alves Junior et al. 2015, section 4).
+TILT_WITH_EFFECT_RAD = math.radians(3.0)
+TILT_TOLERANCE_RAD = math.radians(5.0)
 # Cells across a footprint: its area is then known to some thousandths.
 CELLS_ACROSS = 60
 # Strips are neighbours when their directions and heights differ by less.

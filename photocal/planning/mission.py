@@ -8,7 +8,7 @@ What wind and the range of the radio link make of a planned flight.
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,18 +25,9 @@ AUTOPILOTS = {"ardupilot": mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, "px4": mavlink.M
 VEHICLES = {"fixed-wing": mavlink.MAV_TYPE_FIXED_WING, "quadrotor": mavlink.MAV_TYPE_QUADROTOR}
 
 
-@dataclass(frozen=True)
-class Item:
-    """One mission item.
-
-    command, frame: MAV_CMD and MAV_FRAME of MAVLink.
-    parameters: the seven parameters; the last three are latitude, longitude (degrees) and height (m) where
-        the command has a place; None leaves one to the autopilot.
-    """
-
-    command: int
-    frame: int
-    parameters: tuple[float | None, float | None, float | None, float | None, float, float, float]
+# A mission item: MAV_CMD and MAV_FRAME of MAVLink, and the seven parameters; the last three are latitude,
+# longitude (degrees) and height (m) where the command has a place; None leaves one to the autopilot.
+Item = tuple[int, int, tuple[float | None, float | None, float | None, float | None, float, float, float]]
 
 
 def mission_items(flight: PlannedFlight, home: GeodeticPlace, ground_height_m: float) -> tuple[Item, ...]:
@@ -93,16 +84,12 @@ def qgroundcontrol_plan(
 
 def waypoint_file(items: tuple[Item, ...], home: GeodeticPlace) -> str:
     """Make the content of a mission file of text lines (`QGC WPL 110`)."""
-    first = Item(
-        mavlink.MAV_CMD_NAV_WAYPOINT,
-        mavlink.MAV_FRAME_GLOBAL,
-        (0.0, 0.0, 0.0, 0.0, *home),
-    )
+    first: Item = (mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_FRAME_GLOBAL, (0.0, 0.0, 0.0, 0.0, *home))
     lines = ["QGC WPL 110"]
-    for number, item in enumerate((first, *items)):
+    for number, (command, frame, parameters) in enumerate((first, *items)):
         # The text format has no empty value; zero leaves the heading to the autopilot's own setting.
-        *orders, latitude, longitude, height = (value or 0.0 for value in item.parameters)
-        fields = [f"{number:d}", f"{number == 0:d}", f"{item.frame:d}", f"{item.command:d}"]
+        *orders, latitude, longitude, height = (value or 0.0 for value in parameters)
+        fields = [f"{number:d}", f"{number == 0:d}", f"{frame:d}", f"{command:d}"]
         fields += [f"{value:.8g}" for value in orders]
         fields += [f"{latitude:.8f}", f"{longitude:.8f}", f"{height:.3f}", "1"]
         lines.append("\t".join(fields))
@@ -115,24 +102,25 @@ def _places(flight: PlannedFlight, points_m: Floats) -> list[tuple[float, float]
 
 
 def _at(command: int, place: tuple[float, float], height_m: float) -> Item:
-    return Item(command, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, (0.0, 0.0, 0.0, None, *place, height_m))
+    return command, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, (0.0, 0.0, 0.0, None, *place, height_m)
 
 
 def _order(command: int, first: float, second: float, third: float) -> Item:
-    return Item(command, mavlink.MAV_FRAME_MISSION, (first, second, third, 0.0, 0.0, 0.0, 0.0))
+    return command, mavlink.MAV_FRAME_MISSION, (first, second, third, 0.0, 0.0, 0.0, 0.0)
 
 
 def _plan_item(item: Item, number: int) -> dict[str, Any]:
+    command, frame, parameters = item
     content: dict[str, Any] = {
         "autoContinue": True,
-        "command": item.command,
+        "command": command,
         "doJumpId": number,
-        "frame": item.frame,
-        "params": list(item.parameters),
+        "frame": frame,
+        "params": list(parameters),
         "type": "SimpleItem",
     }
-    if item.frame == mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT:
-        content |= {"AMSLAltAboveTerrain": None, "Altitude": item.parameters[6], "AltitudeMode": 1}
+    if frame == mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT:
+        content |= {"AMSLAltAboveTerrain": None, "Altitude": parameters[6], "AltitudeMode": 1}
     return content
 
 
@@ -273,6 +261,3 @@ def farthest_m(flight: PlannedFlight, home: GeodeticPlace, ground_height_m: floa
         float(np.max(np.hypot(np.hypot(*(strip.exposures_m - place).T), strip.height_m + raised)))
         for strip in flight.strips
     )
-
-
-# What `in_wind` found, for people.

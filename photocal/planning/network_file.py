@@ -8,7 +8,7 @@ Errors of the model are not in it.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field, FiniteFloat, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
@@ -25,7 +25,7 @@ from photocal.findings.document import Paragraph, Section, table, text
 from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import angles_from_matrix, turned_left
-from photocal.planning.frame import PlanningCamera
+from photocal.planning.flight import PlanningCamera
 from photocal.planning.simulated_adjustment import SELF_CALIBRATION, planned_camera, visible_rays
 from photocal.results.adjusted import adjust_network
 from photocal.results.result import Result
@@ -133,14 +133,6 @@ class NetworkKeys(Table):
     distance: tuple[DistanceKeys, ...] = ()
 
 
-class Targets(NamedTuple):
-    """Targets and where they face: xyz, normal (n, 3); a normal of NaN is seen from everywhere."""
-
-    names: tuple[str, ...]
-    xyz: Floats
-    normal: Floats
-
-
 def read_network(path: Path) -> Block:
     """Read a planned network as a block whose observations have no errors.
 
@@ -148,14 +140,14 @@ def read_network(path: Path) -> Block:
         photos that see too few targets.
     """
     keys = read_toml(path, NetworkKeys)
-    targets = _targets(keys.object, path)
+    targets, xyz, normal = _targets(keys.object, path)
     names, poses = _photos(keys.stations)
     frame = keys.camera.frame
-    image, point, seen = visible_rays(poses, targets.xyz, frame)
-    toward = poses[image, 3:] - targets.xyz[point]
-    slope = np.einsum("na,na->n", toward, targets.normal[point]) / np.linalg.norm(toward, axis=1)
+    image, point, seen = visible_rays(poses, xyz, frame)
+    toward = poses[image, 3:] - xyz[point]
+    slope = np.einsum("na,na->n", toward, normal[point]) / np.linalg.norm(toward, axis=1)
     keep = ~(slope < np.cos(np.radians(keys.object.steepest_deg)))
-    keep &= np.bincount(point[keep], minlength=len(targets.names))[point] >= 2
+    keep &= np.bincount(point[keep], minlength=len(targets))[point] >= 2
     image, point, seen = image[keep], point[keep], seen[keep]
     count = np.bincount(image, minlength=len(names))
     # A photo is oriented by so many points.
@@ -174,21 +166,25 @@ def read_network(path: Path) -> Block:
         "control" if keys.datum.control or keys.datum.held else "free",
         (planned_camera(frame, keys.camera.estimate),),
         Images(names, np.zeros(len(names), dtype=np.int64), poses, _held(keys.datum.held, names, path)),
-        *_observed(keys, targets, (image, point, seen), path),
+        *_observed(keys, targets, xyz, (image, point, seen), path),
     )
 
 
 def _observed(
-    keys: NetworkKeys, targets: Targets, rays: tuple[Integers, Integers, Floats], path: Path
+    keys: NetworkKeys,
+    targets: tuple[str, ...],
+    xyz: Floats,
+    rays: tuple[Integers, Integers, Floats],
+    path: Path,
 ) -> tuple[Any, ...]:
     """Points, observations and what follows them in a block."""
     image, point, seen = rays
     used, place = np.unique(point, return_inverse=True)
-    number = {targets.names[k]: n for n, k in enumerate(used.tolist())}
+    number = {targets[k]: n for n, k in enumerate(used.tolist())}
     ends = [name for one in keys.distance for name in one.between]
     for name in (*keys.datum.control, *ends):
         if name not in number:
-            what = "is seen by less than two photos" if name in targets.names else "is not on the object"
+            what = "is seen by less than two photos" if name in targets else "is not on the object"
             raise ConfigurationError(f"target {name} {what}", "name another one", where=path)
     control = np.array([number[name] for name in keys.datum.control], dtype=np.int64)
     sigma = np.full((len(used), 3), np.inf)
@@ -197,7 +193,7 @@ def _observed(
     role[control] = ROLES.index("control")
     precision = keys.camera.image_sigma_px * keys.camera.pixel_um * 1e-3
     first, second = np.array([number[name] for name in ends], dtype=np.int64).reshape(-1, 2).T
-    xyz = targets.xyz[used]
+    xyz = xyz[used]
     tapes = Relations(
         np.full(len(first), list(RELATIONS).index("distance")),
         first,
@@ -214,25 +210,25 @@ def _observed(
     )
 
 
-def _targets(keys: ObjectKeys, path: Path) -> Targets:
-    """Targets of the object, named row by row or ring by ring."""
-    if keys.field is not None:
-        field = keys.field
-        j, i = (axis.ravel() for axis in np.meshgrid(np.arange(field.columns), np.arange(field.rows)))
-        x = (j / (field.columns - 1) - 0.5) * field.width_m
-        y = (i / (field.rows - 1) - 0.5) * field.height_m
-        xyz = np.column_stack([x, y, field.relief_m * ((i + j) % 2)])
+def _targets(keys: ObjectKeys, path: Path) -> tuple[tuple[str, ...], Floats, Floats]:
+    """Targets of the object, named row by row or ring by ring: names, places, and where they face, (n, 3).
+
+    A normal of NaN is seen from everywhere.
+    """
+    if (body := keys.field or keys.cylinder) is not None:
+        across, up = (body.columns, body.rows) if isinstance(body, FieldKeys) else (body.around, body.rings)
+        j, i = (axis.ravel() for axis in np.meshgrid(np.arange(across), np.arange(up)))
         names = tuple(f"{b + 1}.{a + 1}" for a, b in zip(j.tolist(), i.tolist(), strict=True))
-        return Targets(names, xyz, np.tile([0.0, 0.0, 1.0], (len(xyz), 1)))
-    if keys.cylinder is not None:
-        body = keys.cylinder
-        j, i = (axis.ravel() for axis in np.meshgrid(np.arange(body.around), np.arange(body.rings)))
-        angle = 2 * np.pi * j / body.around
+        if isinstance(body, FieldKeys):
+            x = (j / (across - 1) - 0.5) * body.width_m
+            y = (i / (up - 1) - 0.5) * body.height_m
+            xyz = np.column_stack([x, y, body.relief_m * ((i + j) % 2)])
+            return names, xyz, np.tile([0.0, 0.0, 1.0], (len(xyz), 1))
+        angle = 2 * np.pi * j / across
         normal = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
         xyz = body.radius_m * normal
-        xyz[:, 2] = body.height_m * i / (body.rings - 1)
-        names = tuple(f"{b + 1}.{a + 1}" for a, b in zip(j.tolist(), i.tolist(), strict=True))
-        return Targets(names, xyz, normal)
+        xyz[:, 2] = body.height_m * i / (up - 1)
+        return names, xyz, normal
     table = read_table(path.parent / keys.points, ("point", "X", "Y", "Z"), _NORMAL)
     names = table.unique_names("point")
     normal = np.full((len(names), 3), np.nan)
@@ -245,7 +241,7 @@ def _targets(keys: ObjectKeys, path: Path) -> Targets:
         length = np.linalg.norm(normal, axis=1, keepdims=True)
         refuse(table, length[:, 0] == 0.0, "the normal has no length", "it points away from the surface")
         normal = normal / length
-    return Targets(names, table.matrix("XYZ"), normal)
+    return names, table.matrix("XYZ"), normal
 
 
 def _photos(groups: tuple[StationsKeys, ...]) -> tuple[tuple[str, ...], Floats]:
@@ -345,7 +341,7 @@ class NetworkPlan:
             "degrees_of_freedom": result.degrees_of_freedom,
             "datum": block.datum,
             "distances": len(block.relations.values),
-            "sigma_m": dict(zip("xyz", _rms(sigma), strict=True)),
+            "sigma_m": dict(zip("xyz", np.sqrt(np.mean(sigma**2, axis=0)).tolist(), strict=True)),
             "mean_sigma_m": mean,
             "worst": {"point": result.points.names[worst], "sigma_m": sigma[worst].tolist()},
             "one_part_in": extent / mean,
@@ -469,7 +465,3 @@ def plan_network(path: str | Path) -> NetworkPlan:
     """
     block = read_network(Path(path))
     return NetworkPlan(block, adjust_network(block))
-
-
-def _rms(values: Floats) -> list[float]:
-    return [float(v) for v in np.sqrt(np.mean(values**2, axis=0))]

@@ -49,8 +49,7 @@ class FlightOptions(Options):
             For an image size that is none, or when not exactly one of height and ground sample distance is
             given.
         """
-        from photocal.planning.flight import FlightRequest
-        from photocal.planning.frame import PlanningCamera, flying_height, scale_denominator
+        from photocal.planning.flight import FlightRequest, PlanningCamera, flying_height, scale_denominator
 
         size = _SIZE.match(self.image_px.strip())
         if size is None:

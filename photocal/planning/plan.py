@@ -82,23 +82,6 @@ def targets_of(standard: Standard, scale_denominator: float, class_name: str) ->
     return tuple(targets)
 
 
-def to_json(
-    flight: PlannedFlight, targets: tuple[Target, ...], findings: tuple[Finding, ...]
-) -> dict[str, Any]:
-    """Give a planned flight as a JSON value."""
-    return {
-        "schema": SCHEMA,
-        "area_ha": flight.area_m2 / 1e4,
-        "azimuth_deg": math.degrees(flight.azimuth_rad) % 180.0,
-        "levels": [_level(level) for level in flight.levels],
-        "along": flight.request.along,
-        "strips": len(flight.strips),
-        **picked(flight, "exposures", "distance_m", "duration_s"),
-        "error_budget_m": {target.name: error_budget(target.ep_m) for target in targets},
-        "findings": [finding_json(finding, catalogue("en")) for finding in findings],
-    }
-
-
 def remarks(
     flight: PlannedFlight,
     targets: tuple[Target, ...],
@@ -127,7 +110,7 @@ def remarks(
             listed.append(Finding("smear", "doubtful", height, figures))
     precision = flight.levels[0].precision
     for target in targets:
-        sigma = precision.plane_m if target.component == "planimetry" else precision.z_m
+        sigma = precision["plane" if target.component == "planimetry" else "z"]
         if sigma > target.ep_m:
             figures = {"sigma_m": sigma, "allowed_m": target.ep_m}
             listed.append(Finding("precision-above-target", "doubtful", target.name, figures))
@@ -136,58 +119,29 @@ def remarks(
     return tuple(listed)
 
 
-def to_text(
-    flight: PlannedFlight, targets: tuple[Target, ...], findings: tuple[Finding, ...], say: Catalogue
-) -> str:
-    """Write a planned flight for people."""
-    counts = {"strips": len(flight.strips), "photos": flight.exposures}
-    lines = [
-        say.told(
-            "planned.area",
-            **counts,
-            area=flight.area_m2 / 1e4,
-            azimuth=math.degrees(flight.azimuth_rad) % 180.0,
-            distance=flight.distance_m / 1e3,
-            minutes=flight.duration_s / 60.0,
-            speed=flight.request.speed_m_s,
-        )
-    ]
-    for level in flight.levels:
-        width, height = level.footprint_m
-        sigma = level.precision
-        precision = {"x": sigma.x_m, "y": sigma.y_m, "z": sigma.z_m, "plane": sigma.plane_m}
-        lines.append(
-            say.told(
-                "planned.level",
-                **precision,
-                height=level.height_m,
-                scale=level.scale_denominator,
-                gsd=level.gsd_m * 100.0,
-                across=width,
-                along=height,
-                size=width * height / 1e4,
-                base=level.base_m,
-                apart=level.strip_spacing_m,
-                interval=level.exposure_interval_s,
-                dz=level.dz_m * 100.0,
-                by_c=height_by_c(level),
-            )
-        )
-    for target in targets:
-        stages = say("join.figures").join(
-            f"{say.stored(name)} {say.row([allowed], '.3f')} m"
-            for name, allowed in error_budget(target.ep_m).items()
-        )
-        lines.append(say("planned.budget", target=say.stored(target.name), stages=stages))
-    named = (replace(finding, subject=say.stored(finding.subject)) for finding in findings)
-    return "\n".join([*lines, *(f"* {finding_text(finding, say)}" for finding in named)])
-
-
 def _level(level: LevelGeometry) -> dict[str, Any]:
     keys = ("height_m", "scale_denominator", "gsd_m", "footprint_m", "base_m", "strip_spacing_m", "dz_m")
-    sigma = {axis: f"{axis}_m" for axis in ("x", "y", "z", "plane")}
-    made = picked(level, *keys, "exposure_interval_s") | {"sigma_m": picked(level.precision, **sigma)}
+    made = picked(level, *keys, "exposure_interval_s", sigma_m="precision")
     return made | {"height_by_c_m_um": height_by_c(level)}
+
+
+def _level_text(level: LevelGeometry, say: Catalogue) -> str:
+    width, height = level.footprint_m
+    return say.told(
+        "planned.level",
+        **level.precision,
+        height=level.height_m,
+        scale=level.scale_denominator,
+        gsd=level.gsd_m * 100.0,
+        across=width,
+        along=height,
+        size=width * height / 1e4,
+        base=level.base_m,
+        apart=level.strip_spacing_m,
+        interval=level.exposure_interval_s,
+        dz=level.dz_m * 100.0,
+        by_c=height_by_c(level),
+    )
 
 
 def height_by_c(level: LevelGeometry) -> float:
@@ -237,8 +191,20 @@ class Plan:
 
     def figures(self) -> dict[str, Any]:
         """Give all figures as a JSON value."""
-        figures = to_json(self.flight, self.targets, self.findings)
-        figures |= {"farthest_m": self.farthest_m, "wind": self.wind}
+        flight = self.flight
+        figures = {
+            "schema": SCHEMA,
+            "area_ha": flight.area_m2 / 1e4,
+            "azimuth_deg": math.degrees(flight.azimuth_rad) % 180.0,
+            "levels": [_level(level) for level in flight.levels],
+            "along": flight.request.along,
+            "strips": len(flight.strips),
+            **picked(flight, "exposures", "distance_m", "duration_s"),
+            "error_budget_m": {target.name: error_budget(target.ep_m) for target in self.targets},
+            "findings": [finding_json(finding, catalogue("en")) for finding in self.findings],
+            "farthest_m": self.farthest_m,
+            "wind": self.wind,
+        }
         if self.precision is not None and self.survey is not None:
             figures["simulated"] = simulated_adjustment.to_json(self.precision, self.survey)
         return figures
@@ -249,7 +215,27 @@ class Plan:
 
     def text(self, say: Catalogue) -> str:
         """Give it as a text in a language."""
-        lines = [to_text(self.flight, self.targets, self.findings, say)]
+        flight, counts = self.flight, {"strips": len(self.flight.strips), "photos": self.flight.exposures}
+        lines = [
+            say.told(
+                "planned.area",
+                **counts,
+                area=flight.area_m2 / 1e4,
+                azimuth=math.degrees(flight.azimuth_rad) % 180.0,
+                distance=flight.distance_m / 1e3,
+                minutes=flight.duration_s / 60.0,
+                speed=flight.request.speed_m_s,
+            )
+        ]
+        lines += [_level_text(level, say) for level in flight.levels]
+        for target in self.targets:
+            stages = say("join.figures").join(
+                f"{say.stored(name)} {say.row([allowed], '.3f')} m"
+                for name, allowed in error_budget(target.ep_m).items()
+            )
+            lines.append(say("planned.budget", target=say.stored(target.name), stages=stages))
+        named = (replace(finding, subject=say.stored(finding.subject)) for finding in self.findings)
+        lines += [f"* {finding_text(finding, say)}" for finding in named]
         if self.wind is not None:
             lines.append(say.told("planned.wind", **self.wind))
         if self.farthest_m is not None:

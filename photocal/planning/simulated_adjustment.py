@@ -17,8 +17,7 @@ from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.planning.area import grid
-from photocal.planning.flight import Layout, PlannedFlight
-from photocal.planning.frame import PlanningCamera
+from photocal.planning.flight import Layout, PlannedFlight, PlanningCamera
 from photocal.planning.options import PrecisionOptions
 
 SELF_CALIBRATION = ("c", "x0", "y0", "K1", "K2", "P1", "P2")

@@ -45,16 +45,10 @@ def best_places(
 
 def border(per_side: int = 64) -> Floats:
     """Places along the outer edge of an image as shares of its sides, shape (4 per_side, 2)."""
-    t = np.arange(per_side) / per_side
-    ones = np.ones(per_side)
-    return np.vstack(
-        [
-            np.column_stack([t, 0 * ones]),
-            np.column_stack([ones, t]),
-            np.column_stack([1 - t, ones]),
-            np.column_stack([0 * ones, 1 - t]),
-        ]
-    )
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    sides = np.roll(corners, -1, axis=0) - corners
+    share = np.arange(per_side)[:, None] / per_side
+    return np.asarray((corners[:, None] + share * sides[:, None]).reshape(-1, 2))
 
 
 def ideal_limit(camera: Camera) -> float:

@@ -203,10 +203,10 @@ def write_orthophoto(
         nodata=recipe.nodata,
         tags=tags,
     ) as write:
-        for tile in orthophoto(recipe, ImageStore(read), workers):
-            write(tile.pixels, tile.column, tile.row)
-            count += np.bincount(tile.chosen.ravel() + 1, minlength=len(count))
-            advance(float(tile.chosen.size))
+        for column, row, pixels, chosen in orthophoto(recipe, ImageStore(read), workers):
+            write(pixels, column, row)
+            count += np.bincount(chosen.ravel() + 1, minlength=len(count))
+            advance(float(chosen.size))
     shown = {name: int(n) for name, n in zip(recipe.shots.names, count[1:], strict=True)}
     return float(count[1:].sum() / count.sum()), shown
 
@@ -217,9 +217,10 @@ def displacement_field(
     terrain: Terrain,
     frame: LocalFrame,
     grid: Grid,
-    arrows: int = 25,
 ) -> "Displacement":
-    """Displacement over a lattice of at most `arrows` points a side within a grid."""
+    """Displacement over a lattice within a grid."""
+    # At most so many points a side: more arrows hide each other.
+    arrows = 25
     step = max(grid.columns, grid.rows) * grid.cell / arrows
     x = np.arange(grid.west + step / 2, grid.west + grid.columns * grid.cell, step)
     y = np.arange(grid.north - step / 2, grid.north - grid.rows * grid.cell, -step)
@@ -282,8 +283,6 @@ def displacement(
     right: OrientedImages, wrong: OrientedImages, terrain: Terrain, frame: LocalFrame, x: Floats, y: Floats
 ) -> Displacement:
     """Follow ground points through the right image geometry and back through the wrong one."""
-    if right.names != wrong.names:
-        raise ConfigurationError("the two orientations have different images", "use two of one block")
     given = np.column_stack([x, y, terrain.at(x, y)])
     given = given[np.isfinite(given[:, 2])]
     local = frame.to_local(given)

@@ -65,17 +65,9 @@ def footprints(shots: OrientedImages, frame: LocalFrame, height: float) -> Bound
     return float(west), float(south), float(east), float(north)
 
 
-@dataclass(frozen=True)
-class Tile:
-    """A finished piece.
-
-    chosen (rows, columns): image of each cell; -1 for none.
-    """
-
-    column: int
-    row: int
-    pixels: NDArray[Any]
-    chosen: Integers
+# A finished piece: its first column and row, the pixels (bands, rows, columns), and the image of each cell,
+# -1 for none.
+Tile = tuple[int, int, NDArray[Any], Integers]
 
 
 class ImageStore:
@@ -153,7 +145,7 @@ def orthophoto(recipe: Recipe, images: ImageStore, workers: int) -> Iterator[Til
         for number in np.unique(chosen[chosen >= 0]):
             image = images.get(int(number))
             resample(image, int(number), recipe.method, place, chosen, _range(recipe), pixels)
-        return Tile(column, row, pixels.reshape(recipe.bands, rows, columns), chosen.reshape(rows, columns))
+        return column, row, pixels.reshape(recipe.bands, rows, columns), chosen.reshape(rows, columns)
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
         waiting: deque[Future[Tile]] = deque()

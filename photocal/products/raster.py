@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
 from photocal.base.files import output_file
-from photocal.products.terrain import HEIGHT_KINDS, Bounds, Terrain, Transform, bounds_of
+from photocal.geometry.frames import level_of, system_of
+from photocal.products.terrain import HEIGHT_KINDS, Bounds, Terrain, Transform
 
 HEIGHT_TAG = "HEIGHT_KIND"
 
@@ -41,7 +42,10 @@ class RasterFile:
     @property
     def bounds(self) -> Bounds:
         """West, south, east, north."""
-        return bounds_of(self.transform, self.columns, self.rows)
+        a, b, c, d, e, f = self.transform
+        corners = [(i, j) for i in (0, self.columns) for j in (0, self.rows)]
+        x, y = [c + a * i + b * j for i, j in corners], [f + d * i + e * j for i, j in corners]
+        return min(x), min(y), max(x), max(y)
 
     def stated_heights(self, stated: str | None) -> str:
         """Kind of the heights of a terrain model by itself or as it is said.
@@ -180,14 +184,9 @@ def system_wkt(name: str) -> str:
 
 def same_system(first: str, second: str) -> bool:
     """Whether two reference systems (WKT) have the same horizontal part."""
-    from pyproj import CRS
-
-    def horizontal(wkt: str) -> Any:
-        """The plane part of a system: heights are compared by their kind, not here."""
-        system = CRS.from_wkt(wkt)
-        return system.sub_crs_list[0] if system.is_compound else system.to_2d()
-
-    return bool(horizontal(first).equals(horizontal(second), ignore_axis_order=True))
+    # Heights are compared by their kind, not here.
+    one, other = (level_of(system_of(wkt)).to_2d() for wkt in (first, second))
+    return bool(one.equals(other, ignore_axis_order=True))
 
 
 @contextmanager

@@ -1,19 +1,18 @@
 """Sections of a tank: circles of points measured on rings, and what they enclose."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from photocal.adjustment.solution import global_test
-from photocal.base.arrays import Floats, as_plain, picked
+from photocal.base.arrays import Floats, as_plain
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError, PhotocalError
 from photocal.base.files import output_picture
 from photocal.base.text_tables import read_table, refuse
 from photocal.products.surfaces import Circle, Cylinder, fit_circle, fit_cylinder
-
-Vertical = Literal["X", "Y", "Z"]
 
 # The two horizontal axes, such that they and the vertical one are right-handed.
 HORIZONTAL: dict[str, tuple[int, int, int]] = {"X": (1, 2, 0), "Y": (2, 0, 1), "Z": (0, 1, 2)}
@@ -23,34 +22,21 @@ SCHEMA = "photocal.volume/1"
 _INK, _RULE = "#1a1a1a", "#8a8f94"
 
 
-@dataclass(frozen=True)
-class PropagatedVolume:
-    """A volume and what its uncertainty is made of.
+def _propagated(volume: float, variance: float, by_radius: float, by_height: float) -> dict[str, float]:
+    """Figures of a volume and of what its uncertainty is made of.
 
-    radius_variance, height_variance: shares of the variance that come from the radii and from the heights,
-        m6; they add up to the variance where radii and heights are uncorrelated.
+    by_radius, by_height: shares of the variance that come from the radii and from the heights, m6; they add
+        up to the variance where radii and heights are uncorrelated.
     """
-
-    value: float
-    radius_variance: float
-    height_variance: float
-    variance: float
-
-    @property
-    def sigma(self) -> float:
-        """Standard deviation, m3."""
-        return float(np.sqrt(self.variance))
-
-    @property
-    def percent(self) -> float:
-        """Standard deviation in per cent of the volume."""
-        return 100 * self.sigma / self.value
+    sigma = float(np.sqrt(variance))
+    shares = {"variance_m6": variance, "radius_variance_m6": by_radius, "height_variance_m6": by_height}
+    return {"volume_m3": volume, **shares, "sigma_m3": sigma, "sigma_percent": 100 * sigma / volume}
 
 
 def cylinder_volume(
     radius: float, radius_sigma: float, height: float, height_sigma: float
-) -> PropagatedVolume:
-    """Volume of an upright cylinder from its mean radius and its height.
+) -> dict[str, float]:
+    """Give the figures of the volume of an upright cylinder from its mean radius and its height.
 
     radius, radius_sigma, height, height_sigma: m; radius and height uncorrelated.
     raises ConfigurationError: for a radius or height that is not positive, or a sigma that is negative.
@@ -65,22 +51,22 @@ def cylinder_volume(
             )
     by_radius = (2 * np.pi * radius * height * radius_sigma) ** 2
     by_height = (np.pi * radius**2 * height_sigma) ** 2
-    return PropagatedVolume(np.pi * radius**2 * height, by_radius, by_height, by_radius + by_height)
+    return _propagated(np.pi * radius**2 * height, by_radius + by_height, by_radius, by_height)
 
 
-def volume_between_sections(radius: Floats, height: Floats, covariance: Floats) -> PropagatedVolume:
-    """Volume from the lowest to the highest section by the end areas."""
+def volume_between_sections(radius: Floats, height: Floats, covariance: Floats) -> dict[str, float]:
+    """Give the figures of the volume from the lowest to the highest section by the end areas."""
     area, step = np.pi * radius**2, np.diff(height)
     around = np.concatenate([[0.0], step, [0.0]])
     by_radius = np.pi * radius * (around[:-1] + around[1:])
     means = (area[:-1] + area[1:]) / 2
     by_height = np.concatenate([[0.0], means]) - np.concatenate([means, [0.0]])
     gradient = np.column_stack([by_radius, by_height])
-    return PropagatedVolume(
+    return _propagated(
         float(means @ step),
+        float(np.einsum("mi,mij,mj->", gradient, covariance, gradient)),
         float(by_radius**2 @ covariance[:, 0, 0]),
         float(by_height**2 @ covariance[:, 1, 1]),
-        float(np.einsum("mi,mij,mj->", gradient, covariance, gradient)),
     )
 
 
@@ -120,7 +106,7 @@ class Tank:
 
     cylinder: through all points: its axis shows the tilt; None where the points fix none.
     tilt, tilt_sigma: of that axis against the vertical, radians; NaN without cylinder.
-    between: from the lowest to the highest section; None for a single one.
+    between: figures of the volume from the lowest to the highest section; None for a single one.
     """
 
     sections: tuple[TankRing, ...]
@@ -129,17 +115,19 @@ class Tank:
     tilt_sigma: float
     radius: float
     radius_sigma: float
-    between: PropagatedVolume | None
+    between: dict[str, float] | None
 
 
-def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> RingPoints:
+def read_ring_points(path: Path, vertical: str, sigma_m: float | None) -> RingPoints:
     """Read the table of the points of all sections.
 
     path: columns section, point, X, Y, Z (m), optional sX, sY, sZ (m), rXY, rXZ, rYZ (correlations).
     sigma_m: standard deviation of all coordinates of a table without sX, sY, sZ.
     raises InputNotFoundError, InputMalformedError: when it is no such table.
-    raises ConfigurationError: when no standard deviation is given, or twice.
+    raises ConfigurationError: when no standard deviation is given, or twice, or for no axis.
     """
+    if vertical not in HORIZONTAL:
+        raise ConfigurationError(f"--vertical {vertical} is not an axis", "use X, Y or Z")
     table = read_table(path, ("section", "point", "X", "Y", "Z"), SIGMAS + CORRELATIONS)
     sigma_columns = [name for name in SIGMAS if table.has(name)]
     stated = ", ".join(sigma_columns)
@@ -189,13 +177,11 @@ def measure_tank(points: RingPoints, wall_thickness: float = 0.0) -> Tank:
     """
     names = list(dict.fromkeys(points.section))
     rings = tuple(sorted((_section(points, name) for name in names), key=lambda ring: ring.height))
-    radius = np.array([ring.circle.radius for ring in rings]) - wall_thickness
+    radius, height, covariance = shells(rings, wall_thickness)
     if not 0 <= wall_thickness < radius.min() + wall_thickness:
         raise ConfigurationError(
             f"the wall is {wall_thickness:g} m thick", "give metres, less than the radius"
         )
-    height = np.array([ring.height for ring in rings])
-    covariance = np.array([ring.covariance for ring in rings])
     if (np.diff(height) <= 0).any():
         raise IllPosedError("two sections have the same mean height", "is the vertical axis right?")
     cylinder = _cylinder(points)
@@ -209,6 +195,13 @@ def measure_tank(points: RingPoints, wall_thickness: float = 0.0) -> Tank:
         float(np.sqrt(covariance[:, 0, 0].sum()) / len(rings)),
         volume_between_sections(radius, height, covariance) if len(rings) > 1 else None,
     )
+
+
+def shells(rings: Sequence[TankRing], wall_thickness: float) -> tuple[Floats, Floats, Floats]:
+    """Give inner radii (n,), heights (n,) and their covariances (n, 2, 2) of rings."""
+    radius = np.array([ring.circle.radius for ring in rings]) - wall_thickness
+    height = np.array([ring.height for ring in rings])
+    return radius, height, np.array([ring.covariance for ring in rings])
 
 
 def _section(points: RingPoints, name: str) -> TankRing:
@@ -246,12 +239,6 @@ def _tilt(cylinder: Cylinder) -> tuple[float, float]:
     return float(np.arctan2(length, cylinder.axis[2])), float(np.sqrt(variance))
 
 
-def volume_json(volume: PropagatedVolume) -> dict[str, float]:
-    """Give a volume as plain values."""
-    variances = {f"{name}_m6": name for name in ("variance", "radius_variance", "height_variance")}
-    return picked(volume, volume_m3="value", **variances, sigma_m3="sigma", sigma_percent="percent")
-
-
 def tank_json(tank: Tank, axes: tuple[str, str, str], wall_thickness: float) -> dict[str, Any]:
     """Give a tank as plain values; `wall_thickness`: m."""
     cylinder = tank.cylinder
@@ -272,7 +259,7 @@ def tank_json(tank: Tank, axes: tuple[str, str, str], wall_thickness: float) -> 
             "tilt_sigma_deg": float(np.degrees(tank.tilt_sigma)),
             "variance_factor": as_plain(cylinder.adjusted.variance_factor),
         },
-        "between_sections": None if tank.between is None else volume_json(tank.between),
+        "between_sections": tank.between,
     }
 
 

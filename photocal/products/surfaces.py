@@ -28,7 +28,6 @@ class AdjustedSurface:
     influence: Floats
     chi_squared: float
     degrees_of_freedom: int
-    iterations: int
 
     @property
     def variance_factor(self) -> float:
@@ -53,7 +52,7 @@ def fit(
     iterations = 100
     # A step is over when it is this small against the standard deviation of what it moves.
     negligible = 1e-7
-    for iteration in range(1, iterations + 1):
+    for _ in range(iterations):
         value, by_parameter, by_point = condition(state, points + residuals)
         count, unknowns = by_parameter.shape
         if count < unknowns:
@@ -76,9 +75,7 @@ def fit(
         if settled.all() and (moved_points <= 10 * negligible * np.sqrt(variance)).all():
             influence = -np.einsum("uv,nv,ni->uni", cofactor, by_parameter / variance[:, None], by_point)
             chi_squared = float(correlate**2 @ variance)
-            return AdjustedSurface(
-                state, cofactor, residuals, influence, chi_squared, count - unknowns, iteration
-            )
+            return AdjustedSurface(state, cofactor, residuals, influence, chi_squared, count - unknowns)
     raise NotConvergedError(
         f"the fit of the {what} did not converge within {iterations} iterations",
         "are the points on such a surface, and their sigmas in metres?",

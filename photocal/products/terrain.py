@@ -121,14 +121,6 @@ class Terrain:
 TerrainSource = Callable[[Bounds], Terrain]
 
 
-def bounds_of(transform: Transform, columns: int, rows: int) -> Bounds:
-    """Rectangle around a grid, m."""
-    a, b, c, d, e, f = transform
-    x = [c + a * i + b * j for i in (0, columns) for j in (0, rows)]
-    y = [f + d * i + e * j for i in (0, columns) for j in (0, rows)]
-    return min(x), min(y), max(x), max(y)
-
-
 def read_terrain_points(path: Path) -> tuple[Floats, Integers]:
     """Read points, vertices of contours, or the points of an adjustment.
 

@@ -102,11 +102,12 @@ def measure_closed(points: RingPoints, shape: Shape) -> dict[str, Any]:
 
 def partial_volumes(tank: Tank, wall_thickness: float = 0.0) -> list[dict[str, float]]:
     """Volumes between neighbouring sections, by the end areas; levels above the lowest section."""
-    radius, height, covariance = _rings(tank, wall_thickness)
+    radius, height, covariance = tanks.shells(tank.sections, wall_thickness)
     parts = []
     for k in range(len(radius) - 1):
         made = volume_between_sections(radius[k : k + 2], height[k : k + 2], covariance[k : k + 2])
-        parts.append(_part(height[k] - height[0], height[k + 1] - height[0], made.value, made.sigma))
+        levels = height[k : k + 2] - height[0]
+        parts.append(_part(levels[0], levels[1], made["volume_m3"], made["sigma_m3"]))
     return parts
 
 
@@ -119,7 +120,7 @@ def filling_table(tank: Tank, step_m: float, wall_thickness: float = 0.0) -> lis
 
     raises ConfigurationError: for a step that cannot be, or a single section.
     """
-    radius, height, covariance = _rings(tank, wall_thickness)
+    radius, height, covariance = tanks.shells(tank.sections, wall_thickness)
     if len(radius) < 2:
         raise ConfigurationError("a filling table needs two sections", "measure another ring")
     whole = float(height[-1] - height[0])
@@ -130,12 +131,6 @@ def filling_table(tank: Tank, step_m: float, wall_thickness: float = 0.0) -> lis
         )
     levels = np.append(np.arange(step_m, whole * (1 - 1e-9), step_m), whole)
     return [_part(0.0, float(at), *_filled(radius, height, covariance, float(at))) for at in levels]
-
-
-def _rings(tank: Tank, wall_thickness: float) -> tuple[Floats, Floats, Floats]:
-    radius = np.array([ring.circle.radius for ring in tank.sections]) - wall_thickness
-    height = np.array([ring.height for ring in tank.sections])
-    return radius, height, np.array([ring.covariance for ring in tank.sections])
 
 
 def _filled(radius: Floats, height: Floats, covariance: Floats, level: float) -> tuple[float, float]:
@@ -228,16 +223,14 @@ def _lines(of: dict[str, Any], say: Catalogue) -> Iterator[str]:
                 "volume.cylinder", up=of["vertical_axis"], **{**cylinder, "variance_factor": factor}
             )
     if (between := of.get("between_sections")) is not None:
-        yield say("volume.between", rule=say(_RULES["shape" in of]), volume=_told(between, say))
+        # Circles are joined by their end areas, outlines by a spline through their areas.
+        rule = "volume.quadrature" if "shape" in of else "volume.end_areas"
+        yield say("volume.between", rule=say(rule), volume=_told(between, say))
     parts = of.get("partial_volumes", ())
     if len(parts) > 1:
         yield from (say.told("volume.part", **part) for part in parts)
     if "by_mean_radius" in of:
         yield say("volume.by_radius", volume=_told(of["by_mean_radius"], say))
-
-
-# Circles are joined by their end areas, outlines by a spline through their areas.
-_RULES = {False: "volume.end_areas", True: "volume.quadrature"}
 
 
 def _told(volume: dict[str, float], say: Catalogue) -> str:
@@ -287,9 +280,10 @@ def volume(sections: str | Path | None, options: VolumeOptions) -> Volume:
         )
     figures: dict[str, Any] = {"schema": tanks.SCHEMA}
     if sections is not None:
+        points = tanks.read_ring_points(Path(sections), options.vertical, options.sigma)
         if options.shape != "circle":
-            return _closed(Path(sections), options)
-        points, wall = _points(Path(sections), options), options.wall_thickness
+            return Volume(figures | _closed(points, options))
+        wall = options.wall_thickness
         tank = tanks.measure_tank(points, wall)
         figures |= tanks.tank_json(tank, points.axes, wall)
         radius, radius_sigma = tank.radius, tank.radius_sigma
@@ -302,24 +296,16 @@ def volume(sections: str | Path | None, options: VolumeOptions) -> Volume:
         raise ConfigurationError("--sigma, --plot, --filling and --wall-thickness need a table of sections")
     if height is not None:
         # The pairs were checked: with a height there are all four.
-        whole = tanks.cylinder_volume(radius or 0.0, radius_sigma or 0.0, height, options.height_sigma or 0.0)
-        figures["by_mean_radius"] = tanks.volume_json(whole)
+        lengths = (radius or 0.0, radius_sigma or 0.0, height, options.height_sigma or 0.0)
+        figures["by_mean_radius"] = tanks.cylinder_volume(*lengths)
     return Volume(figures)
 
 
-def _points(sections: Path, options: VolumeOptions) -> tanks.RingPoints:
-    if options.vertical not in ("X", "Y", "Z"):
-        raise ConfigurationError(f"--vertical {options.vertical} is not an axis", "use X, Y or Z")
-    return tanks.read_ring_points(sections, cast("Literal['X', 'Y', 'Z']", options.vertical), options.sigma)
-
-
-def _closed(sections: Path, options: VolumeOptions) -> Volume:
-    points = _points(sections, options)
+def _closed(points: RingPoints, options: VolumeOptions) -> dict[str, Any]:
     round_only = options.plot or options.height or options.wall_thickness or options.filling
     if options.shape not in ("curve", "polygon") or round_only:
         raise ConfigurationError(
             f"--shape {options.shape} with --plot, --height, --filling or --wall-thickness is not possible",
             "use circle, or curve or polygon without them",
         )
-    closed = measure_closed(points, cast("Literal['curve', 'polygon']", options.shape))
-    return Volume({"schema": tanks.SCHEMA} | closed)
+    return measure_closed(points, cast("Shape", options.shape))

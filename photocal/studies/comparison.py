@@ -10,7 +10,7 @@ import json
 import math
 import shlex
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -302,7 +302,8 @@ def repeat_study(
 def _run(command: Command, folder: Path, run: Run) -> None:
     words = shlex.split(command.line)[1:]
     ended, said = 0, io.StringIO()
-    with _inside(folder), contextlib.redirect_stdout(said):
+    # Paths of the commands are those of the study's folder.
+    with contextlib.chdir(folder), contextlib.redirect_stdout(said):
         try:
             run(words)
         except PhotocalError as refusal:
@@ -318,10 +319,3 @@ def _run(command: Command, folder: Path, run: Run) -> None:
     ending = ".json" if "--json" in words else ".txt"
     with refusals(folder):
         (folder / RESULTS / f"{command.name}{ending}").write_text(said.getvalue(), encoding="utf-8")
-
-
-@contextlib.contextmanager
-def _inside(folder: Path) -> Iterator[None]:
-    """Paths of the commands are those of the study's folder."""
-    with contextlib.chdir(folder):
-        yield

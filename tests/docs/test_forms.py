@@ -23,7 +23,7 @@ from photocal.adjustment.network import Network
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.measurement.features import FeatureSettings, detect
-from photocal.measurement.match_images import MatchSettings, match
+from photocal.measurement.match_images import match
 from photocal.measurement.tie_block import with_ties
 from photocal.measurement.tracks import join_tracks
 from photocal.navigation.events import RISING, time_marks
@@ -102,7 +102,7 @@ def observation_forms(folder: Path) -> Iterator[object]:
     settings = FeatureSettings(most=500)
     first, second = (detect(np.ascontiguousarray(image), settings) for image in (grey[:, 40:], grey[:, :-40]))
     yield first
-    tracks = join_tracks([first, second], np.array([[0, 1]]), [match(first, second, MatchSettings())])
+    tracks = join_tracks([first, second], np.array([[0, 1]]), [match(first, second)])
     yield tracks
     block = photocal.read_block("photocal/demo/dcs460")
     nowhere = np.full((tracks.count, 3), np.nan)

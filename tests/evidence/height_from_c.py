@@ -21,7 +21,7 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError
 from photocal.geometry.camera import among
 from photocal.planning import simulated_adjustment as planned
-from photocal.planning.frame import PlanningCamera
+from photocal.planning.flight import PlanningCamera
 
 OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "height_from_c.md"
 CAMERA = PlanningCamera(8.8e-3, 2.41e-6, 5472, 3648)

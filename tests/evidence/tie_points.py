@@ -34,8 +34,9 @@ from photocal.measurement.image_file import list_images
 from photocal.measurement.image_pairs import footprints, select_pairs, stated_footprints
 from photocal.measurement.match_images import MatchingPlan, track_images
 from photocal.measurement.measurement_record import MeasuredBlock
+from photocal.measurement.options import MeasureOptions
 from photocal.measurement.oriented_ties import Oriented, orient_ties
-from photocal.measurement.picture_block import GivenControl, measure_images
+from photocal.measurement.picture_block import measure_images
 from photocal.measurement.tie_block import TIE
 from photocal.results.adjusted import given_exposures, given_points
 
@@ -234,7 +235,7 @@ def few_images(shared: Path, plan: MatchingPlan) -> list[str]:
     cuav, berlin = shared / "data/mavlink-tlog-cuav-images", shared / "data/opensfm-berlin-gcp"
     pictures = list_images(cuav)
     raw = [path for path in pictures if path.name.startswith("raw")]
-    given = GivenControl(berlin / "ground_control_points.json", (0.02, 0.03), "", "ellipsoidal")
+    given = MeasureOptions(gcp=berlin / "ground_control_points.json", height="ellipsoidal")
     street = list_images(berlin / "images")
     return [
         "## Few images",
@@ -245,7 +246,7 @@ def few_images(shared: Path, plan: MatchingPlan) -> list[str]:
         _outcome("these and two of another flight", lambda: measure_images(pictures, "cuav", plan, quiet)),
         _outcome(
             "three of a street, two control points",
-            lambda: measure_images(street, "berlin", plan, quiet, control=given),
+            lambda: measure_images(street, "berlin", plan, quiet, given),
         ),
         _outcome("the same without control", lambda: measure_images(street, "berlin", plan, quiet)),
     ]

@@ -6,13 +6,14 @@ substitute for the adjustment of the block, where tie points and free cameras ta
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from photocal.base.errors import IllPosedError
 from photocal.block.model import Block, Images, ObjectPoints
 from photocal.exchange.parts import Mark
-from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.camera import held_camera
 from photocal.measurement.marks import with_marks
 from photocal.measurement.orientation import Orientation
 
@@ -22,30 +23,17 @@ TooFew = dict[str, str | int]
 
 
 @dataclass(frozen=True)
-class Residual:
-    """Of a mark: computed minus marked.
-
-    vx, vy: px.
-    in_sigmas: the larger of the two standardised residuals; None where the mark is not checked by others.
-    """
-
-    image: str
-    point: str
-    vx: float
-    vy: float
-    in_sigmas: float | None
-
-
-@dataclass(frozen=True)
 class AdjustedMarks:
     """What an adjustment of marks found.
 
+    residuals: of each mark, computed minus marked: image, point, vx, vy (px), and in_sigmas, the larger of
+        the two standardised residuals, None where the mark is not checked by others.
     orientation: improved where images took part.
     sigma0: A posteriori standard deviation of unit weight; None without redundancy.
     left_out: images that take no part, with the marks of control points that they have and need.
     """
 
-    residuals: tuple[Residual, ...]
+    residuals: tuple[dict[str, Any], ...]
     orientation: Orientation
     sigma0: float | None
     left_out: tuple[TooFew, ...]
@@ -65,13 +53,13 @@ def adjust_marks(orientation: Orientation, points: ObjectPoints, marks: Sequence
         axis=1
     )
     residuals = tuple(
-        Residual(
-            block.images.names[seen.image[ray]],
-            block.points.names[seen.point[ray]],
-            float(vx),
-            float(vy),
-            float(w) if w >= 0 else None,
-        )
+        {
+            "image": block.images.names[seen.image[ray]],
+            "point": block.points.names[seen.point[ray]],
+            "vx": float(vx),
+            "vy": float(vy),
+            "in_sigmas": float(w) if w >= 0 else None,
+        }
         for ray, (vx, vy), w in zip(rays, v, standardised, strict=True)
     )
     values, covariance = given_exposures(assembly, solution)
@@ -92,17 +80,13 @@ def block_of_marks(
     orientation: Orientation, points: ObjectPoints, marks: Sequence[Mark]
 ) -> tuple[Block, tuple[TooFew, ...]]:
     """Make the block of those marks that can be adjusted."""
-    none, free = np.zeros(len(PARAMETERS), dtype=np.bool_), np.full(len(PARAMETERS), np.inf)
-    cameras = tuple(
-        replace(camera, estimated=none, prior_sigma=free) for camera in orientation.images.cameras
-    )
     whole, _ = with_marks(
         Block(
             "marks",
             orientation.frame,
             orientation.height if orientation.frame != "local" else "",
             "control",
-            cameras,
+            tuple(map(held_camera, orientation.images.cameras)),
             Images.observed(orientation.images),
             points,
         ),

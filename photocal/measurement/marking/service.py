@@ -103,9 +103,9 @@ class MarkingService:
             return []
         now = {(m.image, m.point): (m.x, m.y) for m in marks}
         return [
-            dict(vars(residual))
+            residual
             for residual in self._adjusted.residuals
-            for key in [(residual.image, residual.point)]
+            for key in [(residual["image"], residual["point"])]
             if key in now and now[key] == self._adjusted_marks.get(key)
         ]
 

@@ -3,7 +3,6 @@
 What is marked: the pictures of one folder, the points, and what is known of the images' orientation.
 """
 
-import csv
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -11,7 +10,7 @@ from pathlib import Path
 from threading import RLock
 
 from photocal.base.errors import ConfigurationError, PhotocalError
-from photocal.base.files import output_file
+from photocal.base.files import output_file, rows_text
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, ObjectPoints
 from photocal.exchange.parts import Mark
@@ -210,9 +209,7 @@ def write_marks(path: Path, marks: Iterable[Mark]) -> None:
         path.unlink(missing_ok=True)
         return
     with output_file(path) as aside, aside.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows(rows)
+        stream.write(rows_text(COLUMNS, rows))
         stream.flush()
         os.fsync(stream.fileno())
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import ConfigurationError, InputNotFoundError
-from photocal.measurement.measure import measure
 from photocal.measurement.options import MeasureOptions
+from photocal.measurement.picture_block import measure
 from photocal.project import read_project
 from tests.photocal.measurement.laboratory import laboratory, picture, write_pictures
 

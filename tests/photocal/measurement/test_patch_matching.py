@@ -14,7 +14,7 @@ from PIL import Image
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.patch_kernel import compile_kernels, match_patches
-from photocal.measurement.patch_matching import ImageSource, refine, refine_reduced
+from photocal.measurement.patch_matching import ImageSource, refine
 from photocal.measurement.tie_block import intersected, reprojection_errors
 from photocal.measurement.tracks import Tracks, of_images, without_twins
 
@@ -161,9 +161,7 @@ def test_rays_farther_off_than_matching_reaches_are_found_in_reduced_pictures(tm
     rough = Tracks(track, image, exact + rng.normal(0, 8.0, exact.shape), np.ones(180))
     partners = [np.array([j for j in range(3) if j != k]) for k in range(3)]
     points = intersected(views, rough)
-    tracks = [
-        refine_reduced(sources, views, rough, points, partners, 1, lambda _: None, level) for level in (0, 2)
-    ]
+    tracks = [refine(sources, views, rough, points, partners, 1, lambda _: None, level) for level in (0, 2)]
     full, reduced = (np.mean(one.rays[: one.count] == 3) * one.count / 60 for one in tracks)
     assert full < 0.5 < 0.8 < reduced
     miss = reprojection_errors(views, tracks[1], intersected(views, tracks[1]))

@@ -20,8 +20,8 @@ from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block
 from photocal.block.network import assemble
 from photocal.measurement.markers import dictionary
-from photocal.measurement.measure import measure
 from photocal.measurement.options import MeasureOptions
+from photocal.measurement.picture_block import measure
 from photocal.project import read_project
 
 from .site import SIDE, Site, flight, plate_place, texture, with_plate

@@ -17,10 +17,9 @@ from photocal.base.workers import run_tasks
 from photocal.block.folder import read_block
 from photocal.measurement.features import Features, FeatureSettings, cached, detect
 from photocal.measurement.image_facts import read_facts
-from photocal.measurement.image_pairs import Footprints, footprints, select_pairs
+from photocal.measurement.image_pairs import footprints, select_pairs
 from photocal.measurement.match_images import (
     MatchingPlan,
-    MatchSettings,
     detect_all,
     match,
     match_all,
@@ -79,7 +78,7 @@ def test_matches_follow_a_known_homography() -> None:
     move = np.array([[0.96, -0.2, 60], [0.2, 0.96, -40], [5e-5, 2e-5, 1.0]])
     moved = np.asarray(cv2.warpPerspective(texture, move, (700, 700)), np.uint8)
     first, second = (detect(image, FeatureSettings(most=1500)) for image in (texture, moved))
-    pairs = match(first, second, MatchSettings())
+    pairs = match(first, second)
     assert len(pairs) > 200
     there = np.column_stack([first.pixels[pairs[:, 0]], np.ones(len(pairs))]) @ move.T
     miss = np.hypot(*(there[:, :2] / there[:, 2:] - second.pixels[pairs[:, 1]]).T)
@@ -118,8 +117,8 @@ def test_narrowed_matching_finds_what_the_whole_finds() -> None:
     move = np.array([[0.96, -0.2, 60], [0.2, 0.96, -40], [5e-5, 2e-5, 1.0]])
     moved = np.asarray(cv2.warpPerspective(texture, move, (700, 700)), np.uint8)
     first, second = (detect(image, FeatureSettings(most=1500)) for image in (texture, moved))
-    whole = match(first, second, MatchSettings())
-    narrowed = match(first, second, MatchSettings(sketch=300))
+    whole = match(first, second)
+    narrowed = match(first, second, sketch=300)
     both = set(map(tuple, whole.tolist())) & set(map(tuple, narrowed.tolist()))
     assert len(both) > 0.97 * len(whole)
     there = np.column_stack([first.pixels[narrowed[:, 0]], np.ones(len(narrowed))]) @ move.T
@@ -129,7 +128,7 @@ def test_narrowed_matching_finds_what_the_whole_finds() -> None:
 
 def test_strangers_do_not_match() -> None:
     first, second = (detect(_texture(seed), FeatureSettings(most=1500)) for seed in (1, 2))
-    assert len(match(first, second, MatchSettings())) == 0
+    assert len(match(first, second)) == 0
 
 
 def test_nearest_neighbours_as_by_brute_force() -> None:
@@ -204,10 +203,10 @@ def test_pairs_grow_with_the_images_not_with_their_square() -> None:
 
 
 def test_pairs_without_exposures() -> None:
-    unknown = Footprints(np.full((5, 2), np.nan), np.full(5, np.nan))
+    unknown = (np.full((5, 2), np.nan), np.full(5, np.nan))
     pairs, rule = select_pairs(unknown, 5)
     assert (len(pairs), rule) == (10, "all")
-    many = Footprints(np.full((200, 2), np.nan), np.full(200, np.nan))
+    many = (np.full((200, 2), np.nan), np.full(200, np.nan))
     pairs, rule = select_pairs(many, 200)
     assert rule == "sequence"
     assert len(pairs) < 12 * 200
@@ -217,7 +216,7 @@ def test_one_image_without_a_position_takes_that_of_no_other() -> None:
     """A hundred in a row, one lost: it goes with all, the others with their neighbours as before."""
     centre = np.column_stack([np.arange(100) * 10.0, np.zeros(100)])
     centre[40] = np.nan
-    pairs, rule = select_pairs(Footprints(centre, np.full(100, 20.0)), 100)
+    pairs, rule = select_pairs((centre, np.full(100, 20.0)), 100)
     assert rule == "footprints"
     lost = (pairs == 40).any(axis=1)
     assert lost.sum() == 99
@@ -232,7 +231,7 @@ def test_an_oblique_view_looks_ahead() -> None:
         np.array([[4000.0, 3000]]),
         np.array([3000.0]),
     )
-    assert seen.centre[0] == pytest.approx([100.0, 0.0], abs=1e-9)
+    assert seen[0][0] == pytest.approx([100.0, 0.0], abs=1e-9)
 
 
 def test_cached_results_are_not_made_again_and_damage_is_repaired(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from photocal.base.errors import ConfigurationError
 from photocal.geometry.smear import smear_px
-from photocal.planning.frame import (
+from photocal.planning.flight import (
     PlanningCamera,
     air_base,
     corner_precision,
@@ -47,16 +47,14 @@ def test_canon_elph_planning_figures_to_a_millimetre() -> None:
     assert parallax_sigma(sigma) * 1e3 == pytest.approx(0.000945, abs=5e-7)
     height = flying_height(ELPH.focal_m, scale_denominator(0.08, ELPH.pixel_m))
     found = stereo_precision(height, 73.2, ELPH.focal_m, (x, y), sigma)
-    assert found.x_m == pytest.approx(0.134, abs=1e-3)
-    assert found.y_m == pytest.approx(0.104, abs=1e-3)
-    assert found.z_m == pytest.approx(0.202, abs=1e-3)
-    assert found.plane_m == pytest.approx(0.170, abs=1e-3)
+    assert found["x"] == pytest.approx(0.134, abs=1e-3)
+    assert found["y"] == pytest.approx(0.104, abs=1e-3)
+    assert found["z"] == pytest.approx(0.202, abs=1e-3)
+    assert found["plane"] == pytest.approx(0.170, abs=1e-3)
     # With four digits, recomputed independently.
-    assert (found.x_m, found.y_m, found.z_m, found.plane_m) == pytest.approx(
-        (0.1343, 0.1042, 0.2026, 0.1699), abs=5.1e-5
-    )
+    assert found == pytest.approx({"x": 0.1343, "y": 0.1042, "z": 0.2026, "plane": 0.1699}, abs=5.1e-5)
     corner = corner_precision(ELPH, height, 73.2, 0.5)
-    assert corner.plane_m == pytest.approx(found.plane_m, abs=1e-4)
+    assert corner["plane"] == pytest.approx(found["plane"], abs=1e-4)
 
 
 def test_canon_elph_error_budget() -> None:

@@ -17,8 +17,7 @@ from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.base.geodesy import GeodeticPlace
 from photocal.cli import app
 from photocal.planning.area import area_from_corners
-from photocal.planning.flight import FlightRequest, PlannedFlight, plan_flight
-from photocal.planning.frame import PlanningCamera
+from photocal.planning.flight import FlightRequest, PlannedFlight, PlanningCamera, plan_flight
 from photocal.planning.mission import (
     mission_items,
     qgroundcontrol_plan,
@@ -96,12 +95,10 @@ def test_text_mission_is_read_by_pymavlink(flight: PlannedFlight, tmp_path: Path
 
 
 def test_waypoints_lie_where_the_strips_end(flight: PlannedFlight) -> None:
-    items = [
-        item for item in mission_items(flight, HOME, 705.0) if item.command == dialect.MAV_CMD_NAV_WAYPOINT
-    ]
+    items = [item for item in mission_items(flight, HOME, 705.0) if item[0] == dialect.MAV_CMD_NAV_WAYPOINT]
     geod = Geod(ellps="WGS84")
     for number, strip in enumerate(flight.strips):
-        start, end = (items[2 * number + k].parameters for k in range(2))
+        start, end = (items[2 * number + k][2] for k in range(2))
         assert geod.inv(start[5], start[4], end[5], end[4])[2] == pytest.approx(strip.length_m, abs=0.005)
 
 

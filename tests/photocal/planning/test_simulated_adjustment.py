@@ -13,8 +13,14 @@ from scipy import stats
 
 from photocal.adjustment.adjust import adjust
 from photocal.planning.area import area_from_corners
-from photocal.planning.flight import FlightRequest, Layout, PlannedFlight, plan_flight, suggest_layout
-from photocal.planning.frame import PlanningCamera
+from photocal.planning.flight import (
+    FlightRequest,
+    Layout,
+    PlannedFlight,
+    PlanningCamera,
+    plan_flight,
+    suggest_layout,
+)
 from photocal.planning.options import PrecisionOptions
 from photocal.planning.simulated_adjustment import planned_network, simulate
 from tests.photocal.conftest import Answer

@@ -12,8 +12,7 @@ from photocal.base.errors import ConfigurationError
 from photocal.base.geodesy import GeodeticPlace
 from photocal.findings.texts import catalogue
 from photocal.planning.area import Area
-from photocal.planning.flight import FlightRequest, PlannedFlight, plan_flight
-from photocal.planning.frame import PlanningCamera
+from photocal.planning.flight import FlightRequest, PlannedFlight, PlanningCamera, plan_flight
 from photocal.planning.mission import at_speed, farthest_m, in_wind
 
 AREA = Area(np.array([-28.853, -28.853, -28.849, -28.849]), np.array([-51.294, -51.290, -51.290, -51.294]))

@@ -131,9 +131,9 @@ def image() -> NDArray[np.uint16]:
 def rectified(photo: Photo, image: NDArray[np.uint16], terrain: Terrain, grid: Grid) -> NDArray[np.uint16]:
     recipe = Recipe(as_shots(photo), FRAME, lambda _: terrain, grid, BILINEAR, 1, "uint16", 0.0)
     whole = np.zeros((grid.rows, grid.columns), dtype=np.uint16)
-    for tile in orthophoto(recipe, ImageStore(lambda _: image), 2):
-        rows, columns = tile.chosen.shape
-        whole[tile.row : tile.row + rows, tile.column : tile.column + columns] = tile.pixels[0]
+    for column, row, pixels, chosen in orthophoto(recipe, ImageStore(lambda _: image), 2):
+        rows, columns = chosen.shape
+        whole[row : row + rows, column : column + columns] = pixels[0]
     return whole
 
 

@@ -63,7 +63,7 @@ def test_the_orthophoto_has_the_check_points_in_their_places(shared: Path, tmp_p
         east, up = np.meshgrid(steps, -steps)
         place = (measured[0] + np.stack([east, up], axis=-1) @ across.T).astype(np.float32)
         around = cv2.remap(image, place[..., 0], place[..., 1], cv2.INTER_LINEAR)
-        made = np.moveaxis(tile.pixels, 0, 2)
+        made = np.moveaxis(tile[2], 0, 2)
         shift, response = cv2.phaseCorrelate(
             around.mean(axis=2).astype(np.float64), made.mean(axis=2).astype(np.float64)
         )
@@ -80,11 +80,12 @@ def _same_as_peers(
 
     OpenCV rounds places to 1/32 px, which at hard edges is more: there only most cells agree.
     """
+    _, _, pixels, chosen = tile
     x, y = grid.centers(0, 0, grid.columns, grid.rows)
     xs, ys = np.meshgrid(x, y)
     given = np.column_stack([xs.ravel(), ys.ravel(), terrain.at(xs, ys).ravel()])
     place = one.project(np.full(len(given), 0), frame.to_local(given)).reshape(*xs.shape, 2)
-    seen = np.isfinite(place).all(axis=2) & (tile.chosen >= 0)
+    seen = np.isfinite(place).all(axis=2) & (chosen >= 0)
     assert seen.mean() > 0.9
     low, high = (np.floor(edge(place[seen], axis=0)).astype(int) for edge in (np.min, np.max))
     first = np.maximum(low - 2, 0)
@@ -93,10 +94,10 @@ def _same_as_peers(
     for band in range(3):
         values = around_it[..., band].astype(np.float32)
         exact = map_coordinates(values, place[seen].T[::-1], order=1, mode="nearest")
-        assert np.abs(exact - tile.pixels[band][seen]).max() <= 1
+        assert np.abs(exact - pixels[band][seen]).max() <= 1
     columns, rows = (np.ascontiguousarray(place[..., k], dtype=np.float32) for k in (0, 1))
     around = cv2.remap(around_it, columns, rows, cv2.INTER_LINEAR)
-    apart = np.abs(np.moveaxis(around, 2, 0).astype(int) - tile.pixels.astype(int)).max(axis=0)[seen]
+    apart = np.abs(np.moveaxis(around, 2, 0).astype(int) - pixels.astype(int)).max(axis=0)[seen]
     assert (apart <= 1).mean() > 0.95
     assert apart.max() <= 255 / 32
 

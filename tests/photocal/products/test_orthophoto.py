@@ -22,7 +22,7 @@ from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.kernels import BILINEAR, CUBIC, NEAREST
 from photocal.products.oriented import ideal_limit
 from photocal.products.ortho_job import displacement, terrain_points
-from photocal.products.orthophoto import ImageStore, Recipe, Tile, orthophoto
+from photocal.products.orthophoto import ImageStore, Recipe, orthophoto
 from photocal.products.terrain import Grid, Terrain, ground_points
 from photocal.results.folder import write_result
 from photocal.results.result import AdjustedPoints, BlockFacts, CheckSummary, Residuals, Result, Software
@@ -72,11 +72,10 @@ def whole(recipe: Recipe, images: list[NDArray[Any]], workers: int = 1) -> tuple
     grid = recipe.grid
     pixels = np.zeros((recipe.bands, grid.rows, grid.columns), dtype=recipe.dtype)
     chosen = np.full((grid.rows, grid.columns), -9)
-    tiles: list[Tile] = list(orthophoto(recipe, ImageStore(lambda n: images[n]), workers))
-    for tile in tiles:
-        rows, columns = tile.chosen.shape
-        pixels[:, tile.row : tile.row + rows, tile.column : tile.column + columns] = tile.pixels
-        chosen[tile.row : tile.row + rows, tile.column : tile.column + columns] = tile.chosen
+    for column, row, grey, seen in orthophoto(recipe, ImageStore(lambda n: images[n]), workers):
+        rows, columns = seen.shape
+        pixels[:, row : row + rows, column : column + columns] = grey
+        chosen[row : row + rows, column : column + columns] = seen
     return pixels, chosen
 
 

@@ -111,10 +111,10 @@ def test_adjusted_marks_orient_the_images_and_find_the_wrong_one(flown: Survey) 
         assert sigma.max() < 0.6
     bad = replace(marks[7], x=marks[7].x + 1.5)
     wrong = adjust_marks(own, points, [*marks[:7], bad, *marks[8:]])
-    worst = max(wrong.residuals, key=lambda r: r.in_sigmas or 0)
-    assert (worst.image, worst.point) == (bad.image, bad.point)
-    assert worst.in_sigmas is not None
-    assert worst.in_sigmas > 6
+    worst = max(wrong.residuals, key=lambda r: r["in_sigmas"] or 0)
+    assert (worst["image"], worst["point"]) == (bad.image, bad.point)
+    assert worst["in_sigmas"] is not None
+    assert worst["in_sigmas"] > 6
 
 
 def test_images_without_exposures_need_marks_enough(flown: Survey) -> None:
@@ -124,9 +124,9 @@ def test_images_without_exposures_need_marks_enough(flown: Survey) -> None:
     marks = [m for m in true_marks(flown) if m.image != "p2.png" or m.point in ("P1", "P2")]
     found = adjust_marks(nothing, points, marks)
     assert found.left_out == ({"image": "p2.png", "marks": 2, "needed": 4},)
-    assert {r.image for r in found.residuals} == {"p1.png", "p3.png", "p4.png", "p5.png"}
+    assert {r["image"] for r in found.residuals} == {"p1.png", "p3.png", "p4.png", "p5.png"}
     # The pictures' own rendering is not involved: only numbers are.
-    assert max(np.hypot(r.vx, r.vy) for r in found.residuals) < 0.05
+    assert max(np.hypot(r["vx"], r["vy"]) for r in found.residuals) < 0.05
 
 
 def test_a_run_folder_says_how_images_are_oriented(survey: Survey) -> None:
