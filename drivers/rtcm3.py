@@ -14,6 +14,9 @@ from drivers.receiver import ReceiverProtocol
 from photocal.base.arrays import Floats, Integers
 from photocal.base.time_scales import DAY_NS, SECOND_NS
 
+# Length of the frame of a 1013 up to its second of the day.
+DATE_BYTES = 6 + 8
+
 
 def encode(payload: bytes) -> bytes:
     """Return the frame of a message whose first 12 bits are its number."""
@@ -43,12 +46,11 @@ def decode_stations(batch: Batch) -> Stations:
     index = index[batch.length[index] >= np.where(batch.kind[index] == 1006, 27, 25)]
     station, ecef, height = [], [], []
     for i in index.tolist():
-        start = int(batch.start[i]) + 3
-        bits = int.from_bytes(batch.data[start : start + 21].ljust(21, b"\0"), "big")
-        station.append(_unsigned(bits, 12, 12))
+        message = batch.frame(i).data
+        station.append(number_in(message, 12, 12))
         # DF025, DF026, DF027: 38 bits each in units of 0.1 mm, between them flags of 2 bits.
-        ecef.append([_signed(bits, at, 38) * 1e-4 for at in (34, 74, 114)])
-        height.append(_unsigned(bits, 152, 16) * 1e-4 if batch.kind[i] == 1006 else np.nan)
+        ecef.append([_signed(message, at, 38) * 1e-4 for at in (34, 74, 114)])
+        height.append(number_in(message, 152, 16) * 1e-4 if batch.kind[i] == 1006 else np.nan)
     return Stations(
         index, np.array(station, np.int64), np.array(ecef, float).reshape(-1, 3), np.array(height, float)
     )
@@ -60,14 +62,14 @@ def decode_dates(batch: Batch) -> tuple[Integers, Integers]:
     returns utc_ns (n,): UTC, nanoseconds since 1970, to the second.
     """
     index = batch.where(Wire.RTCM3, 1013)
-    index = index[batch.length[index] >= 6 + 8]
-    times = []
-    for i in index.tolist():
-        start = int(batch.start[i]) + 3
-        bits = int.from_bytes(batch.data[start : start + 21].ljust(21, b"\0"), "big")
-        # DF051, DF052: modified Julian day (40 587 is 1970-01-01) and second of the day.
-        times.append((_unsigned(bits, 24, 16) - 40_587) * DAY_NS + _unsigned(bits, 40, 17) * SECOND_NS)
-    return index, np.array(times, np.int64)
+    index = index[batch.length[index] >= DATE_BYTES]
+    return index, np.array([date_ns(batch.frame(i).data) for i in index.tolist()], np.int64)
+
+
+def date_ns(frame: bytes) -> int:
+    """Return the UTC that the frame of a 1013 of at least `DATE_BYTES` tells, nanoseconds since 1970."""
+    # DF051, DF052: modified Julian day (40 587 is 1970-01-01) and second of the day.
+    return (number_in(frame, 24, 16) - 40_587) * DAY_NS + number_in(frame, 40, 17) * SECOND_NS
 
 
 def decode_epochs(batch: Batch) -> tuple[Integers, Integers]:
@@ -83,12 +85,14 @@ def decode_epochs(batch: Batch) -> tuple[Integers, Integers]:
     return index, milliseconds.astype(np.int64) * 1_000_000
 
 
-def _unsigned(bits: int, at: int, width: int) -> int:
-    return bits >> (168 - at - width) & ((1 << width) - 1)
+def number_in(frame: bytes, at: int, width: int) -> int:
+    """Return the unsigned number of so many bits that stands at a bit of the message in a frame."""
+    message = frame[3:-3]
+    return int.from_bytes(message, "big") >> (8 * len(message) - at - width) & ((1 << width) - 1)
 
 
-def _signed(bits: int, at: int, width: int) -> int:
-    value = _unsigned(bits, at, width)
+def _signed(frame: bytes, at: int, width: int) -> int:
+    value = number_in(frame, at, width)
     return value - (1 << width) if value >> (width - 1) else value
 
 
