@@ -118,10 +118,6 @@ class RecordedBytes:
             done = self._raw.tell()
         yield framer.close()
 
-    def size(self) -> int:
-        """Return the size of the file, bytes."""
-        return self.path.stat().st_size
-
     def sha256(self) -> str:
         """Return the SHA-256 of the file as it lies on disk."""
         self._raw.seek(0)
@@ -408,7 +404,7 @@ def _import(
         link=link,
         path=source.path,
         sha256=source.sha256(),
-        size=source.size(),
+        size=source.path.stat().st_size,
         form=form,
         log_time=way.time_source(),
         tally=log.tally,

@@ -71,17 +71,18 @@ def match(
     *,
     resolution_s: float,
     largest_offset_s: float = 60.0,
-    largest_drift: float = 100e-6,
 ) -> Matching:
     """Match the times of images to those of events by another clock.
 
     image_s, event_s (n,): times in seconds since any origin that both share up to the offset; any order.
-    largest_offset_s, largest_drift: bounds of offset (s) and drift between the clocks.
+    largest_offset_s: bound of the offset between the clocks.
     returns: pairs that are each other's only candidates; everything else is listed as unmatched.
     raises UnrelatedImagesError: when there are too few common moments.
     raises IllPosedError: when a second offset explains nearly as many (shots at equal intervals): the pairs
         would be guessed.
     """
+    # Quartz clocks of cameras gain or lose less.
+    largest_drift = 100e-6
     images, events = np.argsort(image_s, kind="stable"), np.argsort(event_s, kind="stable")
     x, y = np.asarray(image_s, float)[images], np.asarray(event_s, float)[events]
     if min(len(x), len(y)) < _LEAST_PAIRS:

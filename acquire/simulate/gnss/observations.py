@@ -91,7 +91,8 @@ def run_clock(model: ReceiverModel, start_gps_ns: int, stop_gps_ns: int, rng: np
     drift = rng.uniform(-5e-7, 5e-7) if model.clock_drift is None else model.clock_drift
     rate = drift + model.clock_noise / np.sqrt(model.interval_s) * rng.standard_normal(len(tag))
     total = bias + np.concatenate([[0.0], np.cumsum(rate[:-1])]) * model.interval_s
-    steps = np.rint(total * 1e3) if model.clock_steps else np.zeros(len(tag))
+    # Set by a millisecond when it is half of one off (`clkReset` of RXM-RAWX).
+    steps = np.rint(total * 1e3)
     # The epoch after a step comes a millisecond later: the clock has gone on meanwhile.
     total[1:] += np.cumsum(rate[:-1] * np.diff(steps)) * 1e-3
     moved = np.concatenate([[False], np.diff(steps) != 0])

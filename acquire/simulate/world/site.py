@@ -136,8 +136,10 @@ def _write_exposures(world: World, path: Path, projected: bool) -> None:
     write_table(path, columns)
 
 
-def grid_to_local(place: Place, local_m: Floats, step_m: float = 10.0) -> Floats:
+def grid_to_local(place: Place, local_m: Floats) -> Floats:
     """Give rotations from grid east, grid north, up at places to the local frame, shape (n, 3, 3)."""
+    # To the north and to the south: the direction of the local north in the grid.
+    step_m = 10.0
     geodetic = place.to_geodetic(local_m)
     (sb, sl), (cb, cl) = np.sin(geodetic[:, :2]).T, np.cos(geodetic[:, :2]).T
     up = np.column_stack([cb * cl, cb * sl, sb]) @ place.axes.T
