@@ -3,8 +3,7 @@
 Every observation of the folder carries just the noise that it states.
 """
 
-import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,8 @@ from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.observations import MeasuredPoints, kept_images
 from acquire.simulate.world.place import LEAP_S
 from acquire.simulate.world.world import World
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Floats, Integers, picked
+from photocal.base.codec import toml_text
 from photocal.base.errors import ConfigurationError
 
 # Format and values of each column, by its name.
@@ -137,24 +137,19 @@ def camera_keys(configuration: FlightConfiguration) -> dict[str, Any]:
 
 def _setup(world: World) -> str:
     given = world.configuration
+    rig = given.rig
     return toml_text(
-        [
-            ("[block]", {"name": given.name, "frame": "local", "height": "local", "datum": "control"}),
-            ("[observations]", {"unit": "px", "axes": "pixel", "sigma": given.observing.sigma_px}),
-            ("[[camera]]", camera_keys(given)),
-            (
-                "[mounting]",
-                {
-                    "lever_arm_m": world.noted_arm_m,
-                    "lever_arm_sigma_m": given.rig.camera_to_antenna_sigma_m,
-                    "boresight_deg": given.rig.boresight_deg,
-                    "boresight_sigma_deg": given.rig.boresight_sigma_deg,
-                    "time_offset_s": given.rig.time_offset_s,
-                    "time_offset_sigma_s": given.rig.time_offset_sigma_s,
-                    "camera_axes": ["right", "forward", "up"],
-                },
-            ),
-        ]
+        {
+            "block": {"name": given.name, "frame": "local", "height": "local", "datum": "control"},
+            "observations": {"unit": "px", "axes": "pixel", "sigma": given.observing.sigma_px},
+            "camera": [camera_keys(given)],
+            "mounting": {
+                "lever_arm_m": world.noted_arm_m.tolist(),
+                "lever_arm_sigma_m": rig.camera_to_antenna_sigma_m,
+                **picked(rig, "boresight_deg", "boresight_sigma_deg", "time_offset_s", "time_offset_sigma_s"),
+                "camera_axes": ["right", "forward", "up"],
+            },
+        }
     )
 
 
@@ -169,28 +164,6 @@ def write_table(path: Path, columns: Columns) -> None:
     ]
     lines = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def toml_text(sections: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
-    """Write TOML sections: each a header such as ``[flight]`` (empty for none) and its keys."""
-    parts = []
-    for header, keys in sections:
-        lines = [header] if header else []
-        lines += [f"{key} = {_value(value)}" for key, value in keys.items()]
-        parts.append("\n".join(lines))
-    return "\n\n".join(parts) + "\n"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{json.dumps(str(k))} = {_value(v)}" for k, v in value.items()) + " }"
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return "[" + ", ".join(_value(each) for each in value) + "]"
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float):
-        return repr(value)
-    return json.dumps(value, ensure_ascii=False)
 
 
 def noted_control(world: World, coordinates: Floats) -> tuple[list[tuple[str, ...]], str]:
