@@ -19,7 +19,7 @@ from drivers.identify import batch_of_payloads, kind_name
 from drivers.mavlink.decode import decode, sequences, sources
 from drivers.mavlink.dialect import Dialect
 from drivers.protocols import known_wire
-from photocal.base.arrays import Bytes, Floats, Integers
+from photocal.base.arrays import Bytes, Floats, Integers, picked
 from photocal.base.sentences import Texts
 
 # Raw observations, and the orbits that a trajectory needs as well, by protocol.
@@ -152,7 +152,7 @@ def clock_figures(readings: list[ClockReadings]) -> dict[str, Any] | None:
     host, device = received[good], fields["time_unix_usec"][good].astype(np.int64) * 1000
     offset = (host - device) / 1e9
     samples = 24
-    picked = np.unique(np.linspace(0, len(offset) - 1, samples).astype(int))
+    shown = np.unique(np.linspace(0, len(offset) - 1, samples).astype(int))
     ratio = _ratio(host, fields["time_boot_ms"][good].astype(np.int64) * 1_000_000)
     return {
         "system": telling,
@@ -163,7 +163,7 @@ def clock_figures(readings: list[ClockReadings]) -> dict[str, Any] | None:
             "least": float(offset.min()),
             "greatest": float(offset.max()),
         },
-        "over_time": [[int(host[i]), float(offset[i])] for i in picked.tolist()],
+        "over_time": [[int(host[i]), float(offset[i])] for i in shown.tolist()],
         "device_seconds_per_host_second": ratio,
         "verdict": verdict(offset, ratio),
     }
@@ -237,9 +237,7 @@ class LinkSummary:
         duration = _seconds(times[-1] - times[0]) if len(times) else 0.0
         return {
             "link": self.name,
-            "frames": self.frames,
-            "frame_bytes": self.frame_bytes,
-            "damage_bytes": self.damage_bytes,
+            **picked(self, "frames", "frame_bytes", "damage_bytes"),
             "duration_s": duration,
             "rate_hz": _rate(len(times), duration),
             "gaps": _gaps(times),

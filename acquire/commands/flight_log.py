@@ -216,20 +216,13 @@ def replay(
         sent = replaying.replay(log, name, sink, speed, time.monotonic, time.sleep)
     answer(
         as_json,
-        lambda: {
-            "schema": "acquire.replay/1",
-            "link": name,
-            "frames": sent.frames,
-            "bytes": sent.size,
-            "recorded_s": sent.recorded_s,
-            "lost": sent.lost,
-        },
+        lambda: {"schema": "acquire.replay/1", "link": name, **sent},
         lambda: say(
             "replay.sent",
-            frames=sent.frames,
-            size=sent.size,
-            duration=say.row([sent.recorded_s], ".1f"),
-            lost=say("replay.unknown") if sent.lost is None else say("replay.lost", count=sent.lost),
+            frames=sent["frames"],
+            size=sent["bytes"],
+            duration=say.row([sent["recorded_s"]], ".1f"),
+            lost=say("replay.unknown") if sent["lost"] is None else say("replay.lost", count=sent["lost"]),
         ),
     )
 
@@ -247,6 +240,7 @@ def recover(
     Example: `acquire recover flight.mcap -o repaired.mcap`
     """
     from acquire.importing.recovery import recover as repair
+    from photocal.base.arrays import picked
 
     say = texts(spoken(language))
     target = output or log.with_suffix(".recovered.mcap")
@@ -261,10 +255,7 @@ def recover(
             "schema": "acquire.recover/1",
             "file": str(log),
             "output": str(target),
-            "messages": result.messages,
-            "chunks": result.chunks,
-            "had_its_end": result.complete,
-            "damaged": list(result.damaged),
+            **picked(result, "messages", "chunks", "damaged", had_its_end="complete"),
         },
         lambda: _recovered(result, log, target, say),
     )

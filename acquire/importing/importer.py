@@ -39,7 +39,7 @@ from drivers.mrk import MrkFramer
 from drivers.protocols import receiver_protocols, receiver_wires
 from drivers.tlog import TlogFramer
 from drivers.ulog import UlogFormats, UlogFramer
-from photocal.base.arrays import Integers
+from photocal.base.arrays import Integers, picked
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, reading
 from photocal.base.files import output_file
 from photocal.base.time_scales import expiry_warning
@@ -326,14 +326,9 @@ class Imported:
         return {
             "link": self.link,
             "file": str(self.path),
-            "sha256": self.sha256,
-            "bytes": self.size,
-            "format": self.form.name,
-            "log_time": self.log_time,
-            **{key: getattr(self.tally, key) for key in _COUNTED},
-            "cut_bytes": self.cut,
-            "packing_cut": self.packing_cut,
-            "warning": self.warning,
+            **picked(self, "sha256", bytes="size", format="form.name", log_time="log_time"),
+            **picked(self.tally, *_COUNTED),
+            **picked(self, cut_bytes="cut", packing_cut="packing_cut", warning="warning"),
         }
 
     def metadata(self) -> dict[str, str]:

@@ -25,7 +25,7 @@ from acquire.simulate.world.render import make_scene, render
 from acquire.simulate.world.streams import RecordedWire, make_streams, telemetry_log
 from acquire.simulate.world.telemetry import LABEL, make_filter
 from acquire.simulate.world.world import World, make_world, picture_stamps
-from photocal.base.arrays import Floats
+from photocal.base.arrays import Floats, picked
 from photocal.base.codec import toml_text
 from photocal.base.files import write_json
 
@@ -77,9 +77,7 @@ def _figures(world: World) -> dict[str, object]:
         },
         "local_frame": {
             "axes": "east, north, up, topocentric at the origin on GRS 80",
-            "latitude_deg": place.latitude_deg,
-            "longitude_deg": place.longitude_deg,
-            "height_m": place.height_m,
+            **picked(place, "latitude_deg", "longitude_deg", "height_m"),
         },
         "crs": place.crs,
         "start_gps_ns": world.start_gps_ns,
