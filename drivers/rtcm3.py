@@ -4,14 +4,14 @@ Source: RTCM standard 10403; field positions of 1005/1006 after its table for me
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.checksums import crc24q
 from drivers.frames import Batch, Wire, numbers_at
+from drivers.logged import Records
 from drivers.receiver import ReceiverProtocol
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Integers
 from photocal.base.time_scales import DAY_NS, SECOND_NS
 
 # Length of the frame of a 1013 up to its second of the day.
@@ -24,24 +24,13 @@ def encode(payload: bytes) -> bytes:
     return body + crc24q(body).to_bytes(3, "big")
 
 
-@dataclass(frozen=True, slots=True)
-class Stations:
-    """Antenna reference points of base stations (messages 1005 and 1006).
+def decode_stations(batch: Batch) -> Records:
+    """Decode the reference station messages 1005 and 1006 of a batch: antenna reference points of stations.
 
-    index (n,): position of each message in the batch.
-    station (n,): number of the station.
-    ecef_m (n, 3): Earth-centred, earth-fixed coordinates of the antenna reference point.
-    antenna_height_m (n,): height of the antenna above the mark; NaN for 1005, which has none.
+    returns: station (n,): its number; ecef_m (n, 3): Earth-centred, earth-fixed coordinates of the antenna
+        reference point; antenna_height_m (n,): height of the antenna above the mark; NaN for 1005, which has
+        none.
     """
-
-    index: Integers
-    station: Integers
-    ecef_m: Floats
-    antenna_height_m: Floats
-
-
-def decode_stations(batch: Batch) -> Stations:
-    """Decode the reference station messages 1005 and 1006 of a batch."""
     index = np.sort(np.concatenate([batch.where(Wire.RTCM3, 1005), batch.where(Wire.RTCM3, 1006)]))
     index = index[batch.length[index] >= np.where(batch.kind[index] == 1006, 27, 25)]
     station, ecef, height = [], [], []
@@ -51,9 +40,12 @@ def decode_stations(batch: Batch) -> Stations:
         # DF025, DF026, DF027: 38 bits each in units of 0.1 mm, between them flags of 2 bits.
         ecef.append([_signed(message, at, 38) * 1e-4 for at in (34, 74, 114)])
         height.append(number_in(message, 152, 16) * 1e-4 if batch.kind[i] == 1006 else np.nan)
-    return Stations(
-        index, np.array(station, np.int64), np.array(ecef, float).reshape(-1, 3), np.array(height, float)
-    )
+    columns = {
+        "station": np.array(station, np.int64),
+        "ecef_m": np.array(ecef, float).reshape(-1, 3),
+        "antenna_height_m": np.array(height, float),
+    }
+    return Records(index, columns)
 
 
 def decode_dates(batch: Batch) -> tuple[Integers, Integers]:

@@ -221,11 +221,9 @@ class ReceiverDecoder:
         topic = f"/gnss/{self._link}/station"
         announced = rtcm3.decode_stations(batch)
         columns: dict[str, Any] = {
-            "station": announced.station,
-            "x_m": announced.ecef_m[:, 0],
-            "y_m": announced.ecef_m[:, 1],
-            "z_m": announced.ecef_m[:, 2],
-            "antenna_height_m": announced.antenna_height_m,
+            "station": announced["station"],
+            **dict(zip(("x_m", "y_m", "z_m"), announced["ecef_m"].T, strict=True)),
+            "antenna_height_m": announced["antenna_height_m"],
         }
         yield self._messages("1005/1006", announced.index, publish).json(topic, STATION, columns)
         survey = ubx.decode(batch, ubx.NAV_SVIN)

@@ -7,7 +7,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 # Start bytes of both versions; of the second, the flag of a signature and its length.
 V1, V2, SIGNED, SIGNATURE_BYTES = 0xFE, 0xFD, 0x01, 13
@@ -31,11 +30,9 @@ class Dialect:
     """The messages that are known by their definition.
 
     seeds: checksum seed (CRC_EXTRA) by message id.
-    seed_table (65536,): the same for whole arrays of ids; -1 where the message is not known.
     """
 
     seeds: dict[int, int]
-    seed_table: NDArray[np.int16]
     _classes: dict[int, Any]
     _layouts: dict[int, np.dtype[Any]] = field(default_factory=dict)
     _boundaries: dict[int, frozenset[int]] = field(default_factory=dict)
@@ -85,10 +82,4 @@ def ardupilotmega() -> Dialect:
     from pymavlink.dialects.v20 import ardupilotmega as tables
 
     classes = dict(tables.mavlink_map)
-    table = np.full(65536, -1, np.int16)
-    seeds = {}
-    for message, known in classes.items():
-        seeds[message] = int(known.crc_extra)
-        if message < len(table):
-            table[message] = known.crc_extra
-    return Dialect(seeds, table, classes)
+    return Dialect({message: int(known.crc_extra) for message, known in classes.items()}, classes)
