@@ -1,7 +1,5 @@
 """The tables of MAVLink messages: names, checksum seeds and layouts, from pymavlink's dialect."""
 
-import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -35,7 +33,6 @@ class Dialect:
     seeds: dict[int, int]
     _classes: dict[int, Any]
     _layouts: dict[int, np.dtype[Any]] = field(default_factory=dict)
-    _boundaries: dict[int, frozenset[int]] = field(default_factory=dict)
 
     def name(self, message: int) -> str:
         """Return the name of a message id, or the number where it is not known."""
@@ -55,17 +52,6 @@ class Dialect:
             known = self._classes[message]
             self._layouts[message] = np.dtype([_member(known, name) for name in known.ordered_fieldnames])
         return self._layouts[message]
-
-    def possible_in_v1(self, message: int, length: int) -> bool:
-        """Tell whether a MAVLink 1 payload of this length can be the message: it ends where a field ends.
-
-        The tables do not say which fields are extensions, so every end of a field is possible.
-        """
-        if message not in self._boundaries:
-            members: Mapping[str, Any] = self.layout(message).fields or {}
-            sizes = [kind[0].itemsize for kind in members.values()]
-            self._boundaries[message] = frozenset(itertools.accumulate(sizes))
-        return length in self._boundaries[message]
 
 
 def _member(known: Any, name: str) -> tuple[Any, ...]:

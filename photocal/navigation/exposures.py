@@ -11,7 +11,7 @@ import numpy as np
 from scipy import special
 from scipy.spatial.transform import Rotation
 
-from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.arrays import Flags, Floats, Integers, nearest
 from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.base.policy import policy
 from photocal.base.tables import TableColumns
@@ -204,9 +204,7 @@ def _partners(from_s: Floats, to_s: Floats, reach: float) -> tuple[Integers, Fla
     """Return the nearest partner within reach (-1: none) and whether there is more than one."""
     low = np.searchsorted(to_s, from_s - reach)
     high = np.searchsorted(to_s, from_s + reach, side="right")
-    place = np.clip(np.searchsorted(to_s, from_s), 1, len(to_s) - 1)
-    nearest = np.where(from_s - to_s[place - 1] <= to_s[place] - from_s, place - 1, place)
-    return np.where(high > low, nearest, -1), high - low > 1
+    return np.where(high > low, nearest(to_s, from_s), -1), high - low > 1
 
 
 def _refine(

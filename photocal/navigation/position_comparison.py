@@ -28,14 +28,14 @@ class Explanation:
 
     name: ``time-offset``, ``lever-arm`` or ``lever-arm-axes``.
     value, sigma (k,): seconds (exposures later than stamped), or metres in body axes (true less given).
-    axes: for swapped axes: what the lever arm should read.
+    axes: for swapped axes: what the lever arm should read, axis by axis.
     gain: by which the criterion of Schwarz falls.
     """
 
     name: str
     value: Floats
     sigma: Floats
-    axes: str
+    axes: tuple[str, ...]
     gain: float
     p: float
 
@@ -202,7 +202,7 @@ def _freed(name: str, model: _Model, sigma: Floats, place: slice) -> Explanation
     f = max((rss0 - rss) / k / (rss / dof), 0.0)
     spread = np.sqrt(np.maximum(np.diag(cofactor)[place] * rss / dof, 0.0))
     gain = size * np.log(rss0 / rss) - k * np.log(size)
-    return Explanation(name, x[place], spread, "", float(gain), float(special.fdtrc(k, dof, f)))
+    return Explanation(name, x[place], spread, (), float(gain), float(special.fdtrc(k, dof, f)))
 
 
 def _exchanged(model: _Model, sigma: Floats, to_camera: Floats, lever_m: Floats) -> list[Explanation]:
@@ -220,7 +220,7 @@ def _exchanged(model: _Model, sigma: Floats, to_camera: Floats, lever_m: Floats)
             rss = replace(model, difference=left).solved(sigma)[0]
             # Nothing is estimated: the ratio of the two variances is judged as if one value had been.
             p = float(special.fdtrc(1, dof, max(rss0 / rss - 1, 0.0) * dof))
-            text = ", ".join(f"{v:+.3f} {name}" for v, name in zip(meant, AXIS_NAMES, strict=True))
+            text = tuple(f"{v:+.3f} {name}" for v, name in zip(meant, AXIS_NAMES, strict=True))
             gain = float(size * np.log(rss0 / rss))
             explanations.append(Explanation(AXES, meant - lever_m, np.zeros(3), text, gain, p))
     # Exchanges that differ only where the lever arm is zero are the same.
@@ -293,7 +293,7 @@ def _judged(comparison: PositionComparison, beside: dict[str, str], lever_m: Flo
         figures["lever"] = tuple(f"mm {1e3 * v:+.0f} {name}" for v, name in parts)
         clauses.append("wrong-by" if lever_m is not None else "there-is")
     if comparison.exchange is not None and best is not comparison.exchange:
-        figures["exchanged_axes"] = comparison.exchange.axes
+        figures["exchanged_axes"] = ", ".join(comparison.exchange.axes)
         figures["exchanged"] = _axes(comparison.exchange.axes)
         clauses.append("or-exchanged")
     elif comparison.same:
@@ -302,5 +302,5 @@ def _judged(comparison: PositionComparison, beside: dict[str, str], lever_m: Flo
     return Finding(best.name, "grave", figures=figures, clauses=tuple(clauses))
 
 
-def _axes(text: str) -> tuple[str, ...]:
-    return tuple(f"m {part}" for part in text.split(", "))
+def _axes(arm: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"m {part}" for part in arm)
