@@ -161,16 +161,7 @@ def _link(link: dict[str, Any], say: Texts, *, types: bool) -> list[str]:
             longest=say.row([gaps["longest_s"]], ".2f"),
         ),
     ]
-    told += [
-        say(
-            "info.sender",
-            system=s["system"],
-            component=s["component"],
-            frames=s["frames"],
-            missing=s["missing_numbers"],
-        )
-        for s in link["sources"]
-    ]
+    told += [say("info.sender", **sender) for sender in link["sources"]]
     if link["clock"]:
         told.append(say("info.clock", verdict=say.stored(link["clock"]["verdict"])))
     if types:
