@@ -86,16 +86,14 @@ def _navigation(
     velocity = antenna_velocity(world.motion, world.rig, event)
     angles = np.degrees(world.motion.angles(event))
     angles = angles + random.standard_normal(angles.shape) * rig.attitude_sigma_deg
-    wide = np.ones(len(kept))
     positions = {
-        **{axis: (".5f", position[:, k]) for k, axis in enumerate("XYZ")},
-        **{f"s{axis}": ("g", rig.position_sigma_m[k] * wide) for k, axis in enumerate("XYZ")},
-        **{f"v{axis}": (".5f", velocity[:, k]) for k, axis in enumerate("XYZ")},
+        **columns_of("X Y Z", position, ".5f"),
+        **columns_of("sX sY sZ", np.tile(rig.position_sigma_m, (len(kept), 1)), "g"),
+        **columns_of("vX vY vZ", velocity, ".5f"),
     }
-    names = ("roll", "pitch", "yaw")
     attitudes = {
-        **{name: (".6f", angles[:, k]) for k, name in enumerate(names)},
-        **{f"s{name}": ("g", rig.attitude_sigma_deg[k] * wide) for k, name in enumerate(names)},
+        **columns_of("roll pitch yaw", angles, ".6f"),
+        **columns_of("sroll spitch syaw", np.tile(rig.attitude_sigma_deg, (len(kept), 1)), "g"),
     }
     return positions, attitudes
 
@@ -151,6 +149,11 @@ def _setup(world: World) -> str:
             },
         }
     )
+
+
+def columns_of(names: str, values: Floats, form: str) -> dict[str, tuple[str, Floats]]:
+    """Give the columns of an array (n, k) of one format; their names stand between blanks."""
+    return {name: (form, column) for name, column in zip(names.split(), values.T, strict=True)}
 
 
 def write_table(path: Path, columns: Columns) -> None:

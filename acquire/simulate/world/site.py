@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from acquire.simulate.world import block_folder
-from acquire.simulate.world.block_folder import Columns, noted_control, write_table
+from acquire.simulate.world.block_folder import Columns, columns_of, noted_control, write_table
 from acquire.simulate.world.camera import OPENCV, TrueCamera
 from acquire.simulate.world.configuration import FlightConfiguration, Level
 from acquire.simulate.world.exposures import antenna_at, omega_phi_kappa
@@ -118,16 +118,16 @@ def _write_exposures(world: World, path: Path, projected: bool) -> None:
         "strip": ("d", exposures.strip),
         "event_gps_ns": ("d", world.gps_ns(exposures.event_s)),
         "middle_gps_ns": ("d", world.gps_ns(exposures.middle_s)),
-        **_columns(("X", "Y", "Z"), pose.centre_m, ".5f"),
-        **_columns(("omega", "phi", "kappa"), angles, ".7f"),
-        **_columns(("roll", "pitch", "yaw"), np.degrees(world.motion.angles(exposures.event_s)), ".6f"),
-        **_columns(("antenna_X", "antenna_Y", "antenna_Z"), antenna, ".5f"),
+        **columns_of("X Y Z", pose.centre_m, ".5f"),
+        **columns_of("omega phi kappa", angles, ".7f"),
+        **columns_of("roll pitch yaw", np.degrees(world.motion.angles(exposures.event_s)), ".6f"),
+        **columns_of("antenna_X antenna_Y antenna_Z", antenna, ".5f"),
     }
     if projected:
         grid = np.degrees(omega_phi_kappa(pose.rotation @ grid_to_local(world.place, pose.centre_m)))
-        columns |= _columns(("E", "N", "h"), world.place.to_projected(pose.centre_m), ".5f")
-        columns |= _columns(("omega_grid", "phi_grid", "kappa_grid"), grid, ".7f")
-        columns |= _columns(("antenna_E", "antenna_N", "antenna_h"), world.place.to_projected(antenna), ".5f")
+        columns |= columns_of("E N h", world.place.to_projected(pose.centre_m), ".5f")
+        columns |= columns_of("omega_grid phi_grid kappa_grid", grid, ".7f")
+        columns |= columns_of("antenna_E antenna_N antenna_h", world.place.to_projected(antenna), ".5f")
     write_table(path, columns)
 
 
@@ -158,9 +158,9 @@ def _write_points(world: World, path: Path, observed: MeasuredPoints | None, pro
     if observed is not None:
         names, points = list(observed.names), observed.points_m
         roles += ["tie"] * (len(names) - len(roles))
-    columns: Columns = {"point": ("", names), "role": ("", roles), **_columns(("X", "Y", "Z"), points, ".5f")}
+    columns: Columns = {"point": ("", names), "role": ("", roles), **columns_of("X Y Z", points, ".5f")}
     if projected:
-        columns |= _columns(("E", "N", "h"), world.place.to_projected(points), ".5f")
+        columns |= columns_of("E N h", world.place.to_projected(points), ".5f")
     write_table(path, columns)
 
 
@@ -175,13 +175,9 @@ def _write_trajectory(world: World, path: Path) -> None:
             "lat_deg": (".10f", np.degrees(geodetic[:, 0])),
             "lon_deg": (".10f", np.degrees(geodetic[:, 1])),
             "height_m": (".5f", geodetic[:, 2]),
-            **_columns(("roll", "pitch", "yaw"), np.degrees(world.motion.angles(time)), ".6f"),
+            **columns_of("roll pitch yaw", np.degrees(world.motion.angles(time)), ".6f"),
         },
     )
-
-
-def _columns(names: tuple[str, ...], values: Floats, form: str) -> Columns:
-    return {name: (form, values[:, k]) for k, name in enumerate(names)}
 
 
 Advance = Callable[[float], None]
