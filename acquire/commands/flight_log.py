@@ -14,7 +14,6 @@ from photocal.base.sentences import Texts, spoken
 
 if TYPE_CHECKING:
     from acquire.importing.importer import Imported
-    from acquire.importing.recovery import Recovered
 
 Log = Annotated[Path, argument("Flight log (.mcap).")]
 Link = Annotated[str | None, option("Link, when the log has several.")]
@@ -231,7 +230,6 @@ def recover(
     Example: `acquire recover flight.mcap -o repaired.mcap`
     """
     from acquire.importing.recovery import recover as repair
-    from photocal.base.arrays import picked
 
     say = texts(spoken(language))
     target = output or log.with_suffix(".recovered.mcap")
@@ -246,19 +244,19 @@ def recover(
             "schema": "acquire.recover/1",
             "file": str(log),
             "output": str(target),
-            **picked(result, "messages", "chunks", "damaged", had_its_end="complete"),
+            **result,
         },
         lambda: _recovered(result, log, target, say),
     )
 
 
-def _recovered(result: "Recovered", log: Path, target: Path, say: Texts) -> str:
-    if result.intact:
-        return say("recover.whole", log=log, copy=target, count=result.messages)
-    lines = [say("recover.saved", count=result.messages, chunks=result.chunks, copy=target)]
-    if not result.complete:
+def _recovered(result: dict[str, Any], log: Path, target: Path, say: Texts) -> str:
+    if result["had_its_end"] and not result["damaged"]:
+        return say("recover.whole", log=log, copy=target, count=result["messages"])
+    lines = [say("recover.saved", count=result["messages"], chunks=result["chunks"], copy=target)]
+    if not result["had_its_end"]:
         lines.append(say("recover.not_closed"))
-    lines += [say("recover.skipped", damage=say.refused(damage)) for damage in result.damaged]
+    lines += [say("recover.skipped", damage=say.refused(damage)) for damage in result["damaged"]]
     return "\n".join(lines)
 
 
