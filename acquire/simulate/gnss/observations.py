@@ -180,7 +180,7 @@ def thermal(
     # A patch antenna loses this much from the zenith to the horizon.
     low_gain_db = 13.0
     gain = low_gain_db * (1 - np.sin(np.maximum(elevation, 0.0)) ** 0.7)
-    fading = correlated(len(elevation), model.interval_s / _FADING_S, 1, rng)[0]
+    fading = correlated(rng.standard_normal(len(elevation)), model.interval_s / _FADING_S)
     cn0 = model.cn0_dbhz - signal.weaker_db - gain + _FADING_DB * fading
     power = 10 ** (cn0 / 10)
     squaring = 1 + 2 / (power * _INTEGRATION_S * (2 - _SPACING))
@@ -195,14 +195,17 @@ def thermal(
     }
 
 
-def correlated(count: int, step: float, rows: int, rng: np.random.Generator) -> Floats:
-    """Return Gauss-Markov sequences of unit variance, float64 (rows, count)."""
+def correlated(white: Floats, step: float) -> Floats:
+    """Return Gauss-Markov sequences of unit variance made of white noise, along its last axis.
+
+    step: time between the values over the time that they stay alike.
+    """
     from scipy.signal import lfilter
 
     keep = np.exp(-step)
-    white = rng.standard_normal((rows, count))
-    white[:, 1:] *= np.sqrt(1 - keep**2)
-    return np.asarray(lfilter([1.0], [1.0, -keep], white, axis=1))
+    kicks = white * np.sqrt(1 - keep**2)
+    kicks[..., 0] = white[..., 0]
+    return np.asarray(lfilter([1.0], [1.0, -keep], kicks))
 
 
 @dataclass(frozen=True)
@@ -279,7 +282,9 @@ def _satellite(
         held = track(seconds, arrives, model.slips_per_hour, signal.data, chance)
         delay = layer * on(signal.frequency_hz)
         code = slow + delay + LIGHT_M_S * group_delay_s(satellite, number) + biases[number]
-        multipath = correlated(len(code), model.interval_s / model.multipath_time_s, 2, chance)
+        multipath = correlated(
+            chance.standard_normal((2, len(code))), model.interval_s / model.multipath_time_s
+        )
         multipath[0] *= model.code_multipath_m * min(signal.chip_m / 293.0, 1.0) ** 0.5 * strength
         multipath[1] *= model.phase_multipath_m * strength * signal.wavelength_m / 0.1903
         measured = slow - delay, code, multipath

@@ -108,7 +108,7 @@ def test_noise_grows_as_the_signal_weakens() -> None:
 
 
 def test_correlated_noise_forgets_at_its_rate() -> None:
-    values = correlated(200_000, 0.1, 2, np.random.default_rng(3))
+    values = correlated(np.random.default_rng(3).standard_normal((2, 200_000)), 0.1)
     assert values.std(axis=1) == pytest.approx([1, 1], abs=0.03)
     for lag in (1, 10, 20):
         found = [np.mean(row[lag:] * row[:-lag]) for row in values]
