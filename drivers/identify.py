@@ -28,20 +28,12 @@ def batch_of_payloads(wire: Wire, payloads: list[bytes], dialect: Dialect) -> Ba
     elif wire == Wire.DATAFLASH:
         kind = octets[start + 2].astype(np.int64)
     elif wire == Wire.ULOG:
-        kind = np.array([_ulog_kind(payload) for payload in payloads], np.int64)
+        kind = np.array(list(map(ulog.kind_of, payloads)), np.int64)
     elif wire == Wire.MRK:
         kind = np.full(len(payloads), mrk.EVENT_KIND)
     else:
         kind = protocol_of(wire).kinds(data, start, length)
     return batch_of(wire, data, 0, (start, length, kind), np.empty((0, 2), np.int64), known)
-
-
-def _ulog_kind(payload: bytes) -> int:
-    if payload.startswith(ulog.MAGIC):
-        return ulog.FILE_HEAD_KIND
-    if len(payload) < 5:
-        return 0
-    return payload[2] << 16 | (payload[3] | payload[4] << 8 if payload[2] == ulog.DATA else 0)
 
 
 def _agrees(frame: bytes, kind: int, dialect: Dialect) -> bool:

@@ -4,15 +4,18 @@ Source: RTCM standard 10403; field positions of 1005/1006 after its table for me
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.checksums import crc24q
 from drivers.frames import Batch, Wire, numbers_at
+from drivers.logged import Records
 from drivers.receiver import ReceiverProtocol
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Integers
 from photocal.base.time_scales import DAY_NS, SECOND_NS
+
+# Length of the frame of a 1013 up to its second of the day.
+DATE_BYTES = 6 + 8
 
 
 def encode(payload: bytes) -> bytes:
@@ -21,37 +24,28 @@ def encode(payload: bytes) -> bytes:
     return body + crc24q(body).to_bytes(3, "big")
 
 
-@dataclass(frozen=True, slots=True)
-class Stations:
-    """Antenna reference points of base stations (messages 1005 and 1006).
+def decode_stations(batch: Batch) -> Records:
+    """Decode the reference station messages 1005 and 1006 of a batch: antenna reference points of stations.
 
-    index (n,): position of each message in the batch.
-    station (n,): number of the station.
-    ecef_m (n, 3): Earth-centred, earth-fixed coordinates of the antenna reference point.
-    antenna_height_m (n,): height of the antenna above the mark; NaN for 1005, which has none.
+    returns: station (n,): its number; ecef_m (n, 3): Earth-centred, earth-fixed coordinates of the antenna
+        reference point; antenna_height_m (n,): height of the antenna above the mark; NaN for 1005, which has
+        none.
     """
-
-    index: Integers
-    station: Integers
-    ecef_m: Floats
-    antenna_height_m: Floats
-
-
-def decode_stations(batch: Batch) -> Stations:
-    """Decode the reference station messages 1005 and 1006 of a batch."""
     index = np.sort(np.concatenate([batch.where(Wire.RTCM3, 1005), batch.where(Wire.RTCM3, 1006)]))
     index = index[batch.length[index] >= np.where(batch.kind[index] == 1006, 27, 25)]
     station, ecef, height = [], [], []
     for i in index.tolist():
-        start = int(batch.start[i]) + 3
-        bits = int.from_bytes(batch.data[start : start + 21].ljust(21, b"\0"), "big")
-        station.append(_unsigned(bits, 12, 12))
+        message = batch.frame(i).data
+        station.append(number_in(message, 12, 12))
         # DF025, DF026, DF027: 38 bits each in units of 0.1 mm, between them flags of 2 bits.
-        ecef.append([_signed(bits, at, 38) * 1e-4 for at in (34, 74, 114)])
-        height.append(_unsigned(bits, 152, 16) * 1e-4 if batch.kind[i] == 1006 else np.nan)
-    return Stations(
-        index, np.array(station, np.int64), np.array(ecef, float).reshape(-1, 3), np.array(height, float)
-    )
+        ecef.append([_signed(message, at, 38) * 1e-4 for at in (34, 74, 114)])
+        height.append(number_in(message, 152, 16) * 1e-4 if batch.kind[i] == 1006 else np.nan)
+    columns = {
+        "station": np.array(station, np.int64),
+        "ecef_m": np.array(ecef, float).reshape(-1, 3),
+        "antenna_height_m": np.array(height, float),
+    }
+    return Records(index, columns)
 
 
 def decode_dates(batch: Batch) -> tuple[Integers, Integers]:
@@ -60,14 +54,14 @@ def decode_dates(batch: Batch) -> tuple[Integers, Integers]:
     returns utc_ns (n,): UTC, nanoseconds since 1970, to the second.
     """
     index = batch.where(Wire.RTCM3, 1013)
-    index = index[batch.length[index] >= 6 + 8]
-    times = []
-    for i in index.tolist():
-        start = int(batch.start[i]) + 3
-        bits = int.from_bytes(batch.data[start : start + 21].ljust(21, b"\0"), "big")
-        # DF051, DF052: modified Julian day (40 587 is 1970-01-01) and second of the day.
-        times.append((_unsigned(bits, 24, 16) - 40_587) * DAY_NS + _unsigned(bits, 40, 17) * SECOND_NS)
-    return index, np.array(times, np.int64)
+    index = index[batch.length[index] >= DATE_BYTES]
+    return index, np.array([date_ns(batch.frame(i).data) for i in index.tolist()], np.int64)
+
+
+def date_ns(frame: bytes) -> int:
+    """Return the UTC that the frame of a 1013 of at least `DATE_BYTES` tells, nanoseconds since 1970."""
+    # DF051, DF052: modified Julian day (40 587 is 1970-01-01) and second of the day.
+    return (number_in(frame, 24, 16) - 40_587) * DAY_NS + number_in(frame, 40, 17) * SECOND_NS
 
 
 def decode_epochs(batch: Batch) -> tuple[Integers, Integers]:
@@ -83,12 +77,14 @@ def decode_epochs(batch: Batch) -> tuple[Integers, Integers]:
     return index, milliseconds.astype(np.int64) * 1_000_000
 
 
-def _unsigned(bits: int, at: int, width: int) -> int:
-    return bits >> (168 - at - width) & ((1 << width) - 1)
+def number_in(frame: bytes, at: int, width: int) -> int:
+    """Return the unsigned number of so many bits that stands at a bit of the message in a frame."""
+    message = frame[3:-3]
+    return int.from_bytes(message, "big") >> (8 * len(message) - at - width) & ((1 << width) - 1)
 
 
-def _signed(bits: int, at: int, width: int) -> int:
-    value = _unsigned(bits, at, width)
+def _signed(frame: bytes, at: int, width: int) -> int:
+    value = number_in(frame, at, width)
     return value - (1 << width) if value >> (width - 1) else value
 
 

@@ -74,7 +74,10 @@ def tables_of(dialect: Dialect) -> Tables:
     for message, seed in dialect.seeds.items():
         seeds[message], sizes[message] = seed, dialect.layout(message).itemsize
         if message < 256:
-            boundaries[message] = [dialect.possible_in_v1(message, length) for length in range(256)]
+            # A payload of MAVLink 1 ends where a field ends. The tables do not say which fields are
+            # extensions, so every end of a field is possible.
+            row = dialect.layout(message)
+            boundaries[message, np.cumsum([row[name].itemsize for name in row.names or ()])] = True
     step = np.arange(256)
     for _ in range(8):
         step = np.where(step & 1, step >> 1 ^ 0x8408, step >> 1)

@@ -133,7 +133,8 @@ class TlogFramer(Framer):
         checked = after - 2 - np.where(flags & SIGNED, SIGNATURE_BYTES, 0)
         long = numbers_at(self._pending, np.where(second, start + 7, 0), "<u4") & 0xFFFFFF
         kind = np.where(second, long, octets[start + 5]).astype(np.int64)
-        seed = np.where(kind < 65536, self._dialect.seed_table[np.minimum(kind, 65535)], -1)
+        tables, payload = scan.tables_of(self._dialect), octets[start + 1]
+        seed = np.where(kind < 65536, tables.seeds[np.minimum(kind, 65535)], -1)
         # A damaged stamp may exceed what a signed number holds; it is out of the believed range anyway.
         stamp = np.minimum(numbers_at(self._pending, start - STAMP_BYTES, ">u8"), LATEST_US).astype(np.int64)
         pairs = zip((start + 1).tolist(), checked.tolist(), strict=True)
@@ -143,7 +144,6 @@ class TlogFramer(Framer):
         believed = (stamp > EARLIEST_US) & (stamp < LATEST_US)
         sound = (flags & ~SIGNED == 0) & believed
         rows = (start, after - start, kind, (continued == check) & (seed >= 0) & sound, stamp)
-        tables, payload = scan.tables_of(self._dialect), octets[start + 1]
         # A message of the tables with a length that it cannot have is another definition of its number.
         fits = np.where(
             second, payload <= tables.sizes[np.minimum(kind, 65535)], tables.boundaries[kind & 0xFF, payload]

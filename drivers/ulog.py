@@ -140,6 +140,14 @@ class UlogFormats:
         return gather(batch.data, batch.start[index] + head, batch.length[index] - head, self.rows[number])
 
 
+def kind_of(record: bytes) -> int:
+    """Return the kind of a record by its first bytes, see `UlogFramer`; 0 of what is too short for one."""
+    if record.startswith(MAGIC) or len(record) < HEAD_BYTES:
+        return FILE_HEAD_KIND
+    numbered = record[2] == DATA and len(record) >= HEAD_BYTES + 2
+    return record[2] << 16 | (record[3] | record[4] << 8 if numbered else 0)
+
+
 class UlogFramer(RecordFramer):
     """Records of a ULog; the kind of a frame is its letter * 65536 + number of the topic."""
 
@@ -214,13 +222,10 @@ class UlogFramer(RecordFramer):
         return match.start() if match else max(at, len(data) - HEAD_BYTES + 1)
 
     def _learn(self, data: bytes, at: int) -> int:
-        if self._offset + at == 0 and data.startswith(MAGIC):
-            return FILE_HEAD_KIND
-        kind = data[at + 2]
-        if kind in (FORMAT, SUBSCRIBED):
+        kind = kind_of(data[at : at + FILE_HEAD_BYTES])
+        if kind >> 16 in (FORMAT, SUBSCRIBED):
             self._formats.take(data[at : at + HEAD_BYTES + (data[at] | data[at + 1] << 8)])
-        number = data[at + 3] | data[at + 4] << 8 if kind == DATA else 0
-        return kind << 16 | number
+        return kind
 
 
 def _text(data: bytes, at: int, end: int) -> int:

@@ -114,22 +114,17 @@ class ReceiverClock:
         before = self._last_ns if self._last_ns >= 0 else self._near_ns
         whole = np.concatenate([[before], time_ns])
         more_index, more_time = [index], [time_ns]
-        weekless = [rtcm3.decode_epochs(batch)]
+        parts = [(*rtcm3.decode_epochs(batch), _WEEK_NS), (*nmea.decode_gga_times(batch), DAY_NS)]
         for kind in _WEEKLESS:
             messages = ubx.decode(batch, kind)
-            weekless.append((messages.index, messages.fields["iTOW"].astype(np.int64) * 1_000_000))
-        for message_index, of_week in weekless:
+            parts.append((messages.index, messages.fields["iTOW"].astype(np.int64) * 1_000_000, _WEEK_NS))
+        for message_index, told_ns, period in parts:
             near = whole[np.searchsorted(index, message_index, side="right")]
-            usable = near >= 0
+            usable = (near >= 0) & (told_ns >= 0)
             # The epoch of the GPS weeks in UTC, by the leap seconds at that time.
-            offset = self._week_offset(near[usable])
+            begin = self._week_offset(near[usable]) if period == _WEEK_NS else 0
             more_index.append(message_index[usable])
-            more_time.append(_nearest(near[usable], of_week[usable] + offset, _WEEK_NS))
-        gga, of_day_ns = nmea.decode_gga_times(batch)
-        near = whole[np.searchsorted(index, gga, side="right")]
-        usable = (near >= 0) & (of_day_ns >= 0)
-        more_index.append(gga[usable])
-        more_time.append(_nearest(near[usable], of_day_ns[usable], DAY_NS))
+            more_time.append(_nearest(near[usable], told_ns[usable] + begin, period))
         all_index = np.concatenate(more_index)
         order = np.argsort(all_index, kind="stable")
         return all_index[order], np.concatenate(more_time)[order]
@@ -221,11 +216,9 @@ class ReceiverDecoder:
         topic = f"/gnss/{self._link}/station"
         announced = rtcm3.decode_stations(batch)
         columns: dict[str, Any] = {
-            "station": announced.station,
-            "x_m": announced.ecef_m[:, 0],
-            "y_m": announced.ecef_m[:, 1],
-            "z_m": announced.ecef_m[:, 2],
-            "antenna_height_m": announced.antenna_height_m,
+            "station": announced["station"],
+            **dict(zip(("x_m", "y_m", "z_m"), announced["ecef_m"].T, strict=True)),
+            "antenna_height_m": announced["antenna_height_m"],
         }
         yield self._messages("1005/1006", announced.index, publish).json(topic, STATION, columns)
         survey = ubx.decode(batch, ubx.NAV_SVIN)

@@ -19,7 +19,7 @@ from drivers.identify import batch_of_payloads, kind_name
 from drivers.mavlink.decode import decode, sequences, sources
 from drivers.mavlink.dialect import Dialect
 from drivers.protocols import known_wire
-from photocal.base.arrays import Bytes, Floats, Integers
+from photocal.base.arrays import Bytes, Floats, Integers, picked
 from photocal.base.sentences import Texts
 
 # Raw observations, and the orbits that a trajectory needs as well, by protocol.
@@ -131,48 +131,42 @@ def _lacks_for_ppk(receivers: list[str], *, orbits: bool) -> list[str]:
     return lacks
 
 
-@dataclass
-class ClockOffset:
-    """Collects the readings of the clocks of one link; the first system that tells the date counts."""
+# SYSTEM_TIME messages: the systems that sent them, their fields, and their times of receipt.
+ClockReadings = tuple[Bytes, NDArray[Any], Integers]
 
-    system: int | None = None
-    host: list[Integers] = field(default_factory=list)
-    device: list[Integers] = field(default_factory=list)
-    boot: list[Integers] = field(default_factory=list)
 
-    def add(self, system: Bytes, fields: NDArray[Any], host_ns: Integers) -> None:
-        """Take SYSTEM_TIME messages with their times of receipt."""
-        earliest_us = 946_684_800_000_000
-        good = fields["time_unix_usec"] > earliest_us
-        if self.system is None and good.any():
-            self.system = int(system[np.argmax(good)])
-        good &= system == (-1 if self.system is None else self.system)
-        self.host.append(host_ns[good])
-        self.device.append(fields["time_unix_usec"][good].astype(np.int64) * 1000)
-        self.boot.append(fields["time_boot_ms"][good].astype(np.int64) * 1_000_000)
+def clock_figures(readings: list[ClockReadings]) -> dict[str, Any] | None:
+    """Return offset, rate and a verdict in words; the first system that tells the date counts, None for none.
 
-    def as_json(self) -> dict[str, Any] | None:
-        """Return offset, rate and a verdict in words; None when no clock was told."""
-        if self.system is None:
-            return None
-        host, device, boot = (np.concatenate(parts) for parts in (self.host, self.device, self.boot))
-        offset = (host - device) / 1e9
-        samples = 24
-        picked = np.unique(np.linspace(0, len(offset) - 1, samples).astype(int))
-        ratio = _ratio(host, boot)
-        return {
-            "system": self.system,
-            "readings": len(offset),
-            "host_minus_device_s": {
-                "first": float(offset[0]),
-                "last": float(offset[-1]),
-                "least": float(offset.min()),
-                "greatest": float(offset.max()),
-            },
-            "over_time": [[int(host[i]), float(offset[i])] for i in picked.tolist()],
-            "device_seconds_per_host_second": ratio,
-            "verdict": verdict(offset, ratio),
-        }
+    readings: of the clocks of one link, in the order of their receipt.
+    """
+    earliest_us = 946_684_800_000_000
+    if not readings:
+        return None
+    system, fields, received = (np.concatenate(parts) for parts in zip(*readings, strict=True))
+    good = fields["time_unix_usec"] > earliest_us
+    if not good.any():
+        return None
+    telling = int(system[np.argmax(good)])
+    good &= system == telling
+    host, device = received[good], fields["time_unix_usec"][good].astype(np.int64) * 1000
+    offset = (host - device) / 1e9
+    samples = 24
+    shown = np.unique(np.linspace(0, len(offset) - 1, samples).astype(int))
+    ratio = _ratio(host, fields["time_boot_ms"][good].astype(np.int64) * 1_000_000)
+    return {
+        "system": telling,
+        "readings": len(offset),
+        "host_minus_device_s": {
+            "first": float(offset[0]),
+            "last": float(offset[-1]),
+            "least": float(offset.min()),
+            "greatest": float(offset.max()),
+        },
+        "over_time": [[int(host[i]), float(offset[i])] for i in shown.tolist()],
+        "device_seconds_per_host_second": ratio,
+        "verdict": verdict(offset, ratio),
+    }
 
 
 def verdict(offset_s: Floats, ratio: float | None) -> str:
@@ -214,7 +208,7 @@ class LinkSummary:
     times: list[Integers] = field(default_factory=list)
     by_type: dict[tuple[str, str], list[Integers]] = field(default_factory=dict)
     senders: dict[tuple[int, int], list[Bytes]] = field(default_factory=dict)
-    clock: ClockOffset = field(default_factory=ClockOffset)
+    clock: list[ClockReadings] = field(default_factory=list)
 
     def add(self, batch: Batch, log_ns: Integers) -> None:
         """Count frames of one protocol."""
@@ -234,7 +228,8 @@ class LinkSummary:
             for code in np.unique(both).tolist():
                 self.senders.setdefault(divmod(code, 256), []).append(number[both == code])
             system_time = decode(batch, self.dialect.number("SYSTEM_TIME"), self.dialect)
-            self.clock.add(system[system_time.index], system_time.fields, log_ns[system_time.index])
+            at = system_time.index
+            self.clock.append((system[at], system_time.fields, log_ns[at]))
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures."""
@@ -242,15 +237,13 @@ class LinkSummary:
         duration = _seconds(times[-1] - times[0]) if len(times) else 0.0
         return {
             "link": self.name,
-            "frames": self.frames,
-            "frame_bytes": self.frame_bytes,
-            "damage_bytes": self.damage_bytes,
+            **picked(self, "frames", "frame_bytes", "damage_bytes"),
             "duration_s": duration,
             "rate_hz": _rate(len(times), duration),
             "gaps": _gaps(times),
             "types": [self._type(key, parts) for key, parts in sorted(self.by_type.items())],
             "sources": [_sender(*item) for item in sorted(self.senders.items())],
-            "clock": self.clock.as_json(),
+            "clock": clock_figures(self.clock),
         }
 
     @staticmethod

@@ -14,7 +14,6 @@ from photocal.base.sentences import Texts, spoken
 
 if TYPE_CHECKING:
     from acquire.importing.importer import Imported
-    from acquire.importing.recovery import Recovered
 
 Log = Annotated[Path, argument("Flight log (.mcap).")]
 Link = Annotated[str | None, option("Link, when the log has several.")]
@@ -161,16 +160,7 @@ def _link(link: dict[str, Any], say: Texts, *, types: bool) -> list[str]:
             longest=say.row([gaps["longest_s"]], ".2f"),
         ),
     ]
-    told += [
-        say(
-            "info.sender",
-            system=s["system"],
-            component=s["component"],
-            frames=s["frames"],
-            missing=s["missing_numbers"],
-        )
-        for s in link["sources"]
-    ]
+    told += [say("info.sender", **sender) for sender in link["sources"]]
     if link["clock"]:
         told.append(say("info.clock", verdict=say.stored(link["clock"]["verdict"])))
     if types:
@@ -216,20 +206,13 @@ def replay(
         sent = replaying.replay(log, name, sink, speed, time.monotonic, time.sleep)
     answer(
         as_json,
-        lambda: {
-            "schema": "acquire.replay/1",
-            "link": name,
-            "frames": sent.frames,
-            "bytes": sent.size,
-            "recorded_s": sent.recorded_s,
-            "lost": sent.lost,
-        },
+        lambda: {"schema": "acquire.replay/1", "link": name, **sent},
         lambda: say(
             "replay.sent",
-            frames=sent.frames,
-            size=sent.size,
-            duration=say.row([sent.recorded_s], ".1f"),
-            lost=say("replay.unknown") if sent.lost is None else say("replay.lost", count=sent.lost),
+            frames=sent["frames"],
+            size=sent["bytes"],
+            duration=say.row([sent["recorded_s"]], ".1f"),
+            lost=say("replay.unknown") if sent["lost"] is None else say("replay.lost", count=sent["lost"]),
         ),
     )
 
@@ -261,22 +244,19 @@ def recover(
             "schema": "acquire.recover/1",
             "file": str(log),
             "output": str(target),
-            "messages": result.messages,
-            "chunks": result.chunks,
-            "had_its_end": result.complete,
-            "damaged": list(result.damaged),
+            **result,
         },
         lambda: _recovered(result, log, target, say),
     )
 
 
-def _recovered(result: "Recovered", log: Path, target: Path, say: Texts) -> str:
-    if result.intact:
-        return say("recover.whole", log=log, copy=target, count=result.messages)
-    lines = [say("recover.saved", count=result.messages, chunks=result.chunks, copy=target)]
-    if not result.complete:
+def _recovered(result: dict[str, Any], log: Path, target: Path, say: Texts) -> str:
+    if result["had_its_end"] and not result["damaged"]:
+        return say("recover.whole", log=log, copy=target, count=result["messages"])
+    lines = [say("recover.saved", count=result["messages"], chunks=result["chunks"], copy=target)]
+    if not result["had_its_end"]:
         lines.append(say("recover.not_closed"))
-    lines += [say("recover.skipped", damage=say.refused(damage)) for damage in result.damaged]
+    lines += [say("recover.skipped", damage=say.refused(damage)) for damage in result["damaged"]]
     return "\n".join(lines)
 
 

@@ -85,6 +85,7 @@ def record(
     """
     from acquire.recording.configuration import read_configuration
     from acquire.recording.recorder import record as recording
+    from photocal.base.arrays import picked
     from photocal.base.errors import PhotocalError
     from photocal.base.operating_system import stopped_by_signals
 
@@ -109,17 +110,11 @@ def record(
             "files": [str(path) for path in result.paths],
             "untold_lines": result.untold,
             "alarms": [
-                {"kind": a.kind, "link": a.link, "text": a.text, "time_utc_ns": a.time_ns}
-                for a in result.alarms
+                picked(alarm, "kind", "link", "text", time_utc_ns="time_ns") for alarm in result.alarms
             ],
             "links": [
-                {
-                    "link": name,
-                    "frames": t.frames,
-                    "frame_bytes": t.frame_bytes,
-                    "damage_bytes": t.damage_bytes,
-                }
-                for name, t in result.tallies.items()
+                {"link": name, **picked(tally, "frames", "frame_bytes", "damage_bytes")}
+                for name, tally in result.tallies.items()
             ],
         },
         lambda: "\n".join(

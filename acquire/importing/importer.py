@@ -39,7 +39,7 @@ from drivers.mrk import MrkFramer
 from drivers.protocols import receiver_protocols, receiver_wires
 from drivers.tlog import TlogFramer
 from drivers.ulog import UlogFormats, UlogFramer
-from photocal.base.arrays import Integers
+from photocal.base.arrays import Integers, picked
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, reading
 from photocal.base.files import output_file
 from photocal.base.time_scales import expiry_warning
@@ -117,10 +117,6 @@ class RecordedBytes:
             advance(self._raw.tell() - done)
             done = self._raw.tell()
         yield framer.close()
-
-    def size(self) -> int:
-        """Return the size of the file, bytes."""
-        return self.path.stat().st_size
 
     def sha256(self) -> str:
         """Return the SHA-256 of the file as it lies on disk."""
@@ -330,14 +326,9 @@ class Imported:
         return {
             "link": self.link,
             "file": str(self.path),
-            "sha256": self.sha256,
-            "bytes": self.size,
-            "format": self.form.name,
-            "log_time": self.log_time,
-            **{key: getattr(self.tally, key) for key in _COUNTED},
-            "cut_bytes": self.cut,
-            "packing_cut": self.packing_cut,
-            "warning": self.warning,
+            **picked(self, "sha256", bytes="size", format="form.name", log_time="log_time"),
+            **picked(self.tally, *_COUNTED),
+            **picked(self, cut_bytes="cut", packing_cut="packing_cut", warning="warning"),
         }
 
     def metadata(self) -> dict[str, str]:
@@ -408,7 +399,7 @@ def _import(
         link=link,
         path=source.path,
         sha256=source.sha256(),
-        size=source.size(),
+        size=source.path.stat().st_size,
         form=form,
         log_time=way.time_source(),
         tally=log.tally,

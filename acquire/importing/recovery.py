@@ -3,6 +3,7 @@
 from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,26 +15,6 @@ from drivers.frames import StreamFramer
 from drivers.protocols import wires_of
 from photocal.base.errors import InputMalformedError
 from photocal.base.files import output_file
-
-
-@dataclass(frozen=True)
-class Recovered:
-    """What a repair has saved.
-
-    messages, chunks: what the repaired log holds.
-    damaged: what was passed over, in words.
-    complete: whether the log had its end.
-    """
-
-    messages: int
-    chunks: int
-    damaged: tuple[str, ...]
-    complete: bool
-
-    @property
-    def intact(self) -> bool:
-        """Whether there was nothing to repair."""
-        return self.complete and not self.damaged
 
 
 @dataclass
@@ -68,9 +49,11 @@ class _Unframed:
         return log.tally.frames
 
 
-def recover(path: Path, output: Path) -> Recovered:
+def recover(path: Path, output: Path) -> dict[str, Any]:
     """Write what is whole in a log to a new one with all indexes.
 
+    returns: `messages` and `chunks` of the repaired log, `had_its_end`, and `damaged`: what was passed over,
+        in words.
     raises InputNotFoundError, InputMalformedError: when the file is missing, is no flight log or holds
         nothing that is whole.
     raises OutputError: when the new log cannot be written.
@@ -99,7 +82,8 @@ def recover(path: Path, output: Path) -> Recovered:
                 "has no intact chunk, there is nothing to save", "use another copy", where=path
             )
         writer.close()
-    return Recovered(messages, chunks, tuple(damage), reader.complete)
+    counts = {"messages": messages, "chunks": chunks}
+    return {**counts, "had_its_end": reader.complete, "damaged": damage}
 
 
 def _copy_notes(reader: LogReader, writer: LogWriter, tables: set[str], files: set[str]) -> None:

@@ -1,8 +1,8 @@
 """Replay of the raw frames of a link, in their order and at their pace."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,16 +14,6 @@ from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.files import output_file
 
 _STARTS = (V1, V2)
-
-
-@dataclass(frozen=True)
-class Replayed:
-    """What was sent: frames, bytes, time of the recording, and the frames that no reader got, where known."""
-
-    frames: int
-    size: int
-    recorded_s: float
-    lost: int | None
 
 
 def links_of(path: Path) -> list[str]:
@@ -58,10 +48,12 @@ def replay(
     speed: float,
     clock: Callable[[], float],
     sleep: Callable[[float], None],
-) -> Replayed:
+) -> dict[str, Any]:
     """Send the raw frames of a link in the order in which they were received.
 
     clock, sleep: seconds of a steady clock, and waiting for seconds.
+    returns: `frames` and `bytes` that were sent, `recorded_s` of the recording, and `lost`, frames that no
+        reader got; None where that is not known.
     raises InputNotFoundError, InputMalformedError: when the log cannot be read.
     raises DeviceError: when the reader goes away.
     """
@@ -79,7 +71,7 @@ def replay(
         frames += 1
         size += len(frame)
     recorded = 0.0 if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
-    return Replayed(frames, size, recorded, sink.lost)
+    return {"frames": frames, "bytes": size, "recorded_s": recorded, "lost": sink.lost}
 
 
 def raw_frames(path: Path, link: str) -> Iterator[tuple[int, bytes]]:

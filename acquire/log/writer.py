@@ -12,8 +12,6 @@ from mcap.opcode import Opcode
 from acquire.log.chunk import COMPRESSION, MAGIC, Channel, OpenChunk, Payloads, SealedChunk, encoded, sealed
 from photocal.base.arrays import Integers
 
-LIBRARY = "photocal"
-
 
 class LogWriter:
     """Writes one MCAP file; what `end_chunk` or `put` has returned from is complete in the file.
@@ -23,7 +21,7 @@ class LogWriter:
     ends after any chunk can be repaired from what is there.
     """
 
-    def __init__(self, stream: BinaryIO | RawIOBase, library: str = LIBRARY) -> None:
+    def __init__(self, stream: BinaryIO | RawIOBase) -> None:
         self._stream = stream
         self._position = 0
         self._crc = 0
@@ -36,7 +34,7 @@ class LogWriter:
         self._metadata: list[bytes] = []
         self._span: tuple[int, int] | None = None
         self._put(MAGIC)
-        self._put(encoded(mcap.Header("", library)))
+        self._put(encoded(mcap.Header("", "photocal")))
 
     @property
     def open_bytes(self) -> int:

@@ -217,11 +217,8 @@ def follow(
     poll_s = 0.1
     look_every_s = 0.5
     while not stop.is_set():
-        chunks, more = tail.step()
-        if tail.flight != state.flight:
-            state = RecordingState(flight=tail.flight)
+        state, chunks, more = _stepped(tail, state)
         for chunk in chunks:
-            state = state_after(state, chunk)
             listen(chunk)
         if chunks or time.monotonic() >= look_at:
             look_at = time.monotonic() + look_every_s
@@ -231,16 +228,22 @@ def follow(
             stop.wait(poll_s)
 
 
+def _stepped(tail: Tail, state: RecordingState) -> tuple[RecordingState, list[list[LoggedMessages]], bool]:
+    """Return the state after a step of the tail, the chunks of it, and whether there may be more at once."""
+    chunks, more = tail.step()
+    if tail.flight != state.flight:
+        state = RecordingState(flight=tail.flight)
+    for chunk in chunks:
+        state = state_after(state, chunk)
+    return state, chunks, more
+
+
 def read_all(tail: Tail) -> RecordingState:
     """Return the state after everything that is there now."""
     state = RecordingState()
     more = True
     while more:
-        chunks, more = tail.step()
-        if tail.flight != state.flight:
-            state = RecordingState(flight=tail.flight)
-        for chunk in chunks:
-            state = state_after(state, chunk)
+        state, chunks, more = _stepped(tail, state)
         # After a log without an end another may follow.
         more = more or bool(chunks)
     return looked(state, look(tail))

@@ -309,27 +309,34 @@ class LogFiles:
     def _replace(self, file: OpenFile) -> list[Notice]:
         """Go on in a new file, since the open one is not under its name any more."""
         gone, moved = file.path, file.stream.whereabouts()
-        for place in range(self._place, len(self._folders)):
-            try:
-                self._file = following = self._new(place)
-            except OSError:
-                continue
-            notices = []
-            try:
-                # The one without a name gets its end, too.
-                file.end()
-            except OSError as failure:
-                notices.append(_no_summary(file, failure))
-            if moved is None:
-                notices += self._rescue(file, following.path.parent)
-            else:
-                file.close()
-                self.paths[self.paths.index(gone)] = moved
-            what = "was deleted" if moved is None else f"was moved to {moved}"
-            text = f"{gone} {what} while it was written, recording continues in {following.path}"
-            return [*notices, ("file_gone", text)]
-        # What has no name can still be written: it is tried again with the next flush.
-        return [("file_gone", f"{gone} was deleted or moved, and no new file can be made: check the disk")]
+        following = self._go_on(self._place)
+        if following is None:
+            # What has no name can still be written: it is tried again with the next flush.
+            return [
+                ("file_gone", f"{gone} was deleted or moved, and no new file can be made: check the disk")
+            ]
+        notices = []
+        try:
+            # The one without a name gets its end, too.
+            file.end()
+        except OSError as failure:
+            notices.append(_no_summary(file, failure))
+        if moved is None:
+            notices += self._rescue(file, following.path.parent)
+        else:
+            file.close()
+            self.paths[self.paths.index(gone)] = moved
+        what = "was deleted" if moved is None else f"was moved to {moved}"
+        text = f"{gone} {what} while it was written, recording continues in {following.path}"
+        return [*notices, ("file_gone", text)]
+
+    def _go_on(self, first: int) -> OpenFile | None:
+        """Begin the next file in the first place, from one on, that takes it; None where none does."""
+        for place in range(first, len(self._folders)):
+            with contextlib.suppress(OSError):
+                self._file = self._new(place)
+                return self._file
+        return None
 
     def _rescue(self, file: OpenFile, folder: Path) -> list[Notice]:
         """Copy a file that has lost its name to a new one in a thread of its own."""
@@ -394,26 +401,20 @@ class LogFiles:
             self._ends.append((left, in_background("end of file", left.secure)))
         waited = self._again_s is not None
         # After waiting, room may have come anywhere; a disk that hangs is not tried again before that.
-        first = 0 if waited else self._place + (failure.errno == errno.ETIMEDOUT)
-        for place in range(first, len(self._folders)):
-            try:
-                self._file = following = self._new(place)
-            except OSError:
-                continue
-            self._again_s = None
-            self._given_up += [in_background("give up", file.give_up) for file in self._doubted]
-            self._doubted.clear()
-            if waited:
-                told = [("note", f"disk space is free again, recording continues in {following.path}")]
-            else:
-                what = f"{full} can no longer be written ({reason})"
-                told = [("disk_full", f"{what}, recording continues in {following.path}")]
-            return [*told, *self._write()]
-        self._again_s = self._steady_s() + try_again_s
+        following = self._go_on(0 if waited else self._place + (failure.errno == errno.ETIMEDOUT))
+        if following is None:
+            self._again_s = self._steady_s() + try_again_s
+            text = f"no folder can be written ({reason}): free disk space now, new data are kept in memory"
+            return [] if waited else [("disk_full", text)]
+        self._again_s = None
+        self._given_up += [in_background("give up", file.give_up) for file in self._doubted]
+        self._doubted.clear()
         if waited:
-            return []
-        text = f"no folder can be written ({reason}): free disk space now, new data are kept in memory"
-        return [("disk_full", text)]
+            told = "note", f"disk space is free again, recording continues in {following.path}"
+        else:
+            what = f"{full} can no longer be written ({reason})"
+            told = "disk_full", f"{what}, recording continues in {following.path}"
+        return [told, *self._write()]
 
     def _try_again(self) -> list[Notice]:
         """Look for a place when it is time for that."""

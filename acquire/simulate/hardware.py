@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol
 
 from acquire.simulate.playback import FlightClock, FlownAutopilot, FlownReceiver, PlayedFlight
-from acquire.simulate.world.block_folder import toml_text
+from photocal.base.codec import toml_text
 from photocal.base.operating_system import pseudo_terminal
 
 _TICK_S = 0.005
@@ -86,10 +86,10 @@ def on_pty(device: Device) -> Iterator[str]:
 
 
 @contextmanager
-def on_tcp(device: Device, host: str = "127.0.0.1", port: int = 0) -> Iterator[int]:
+def on_tcp(device: Device) -> Iterator[int]:
     """Let a device speak to whoever connects, one after the other; yields the port."""
     # A connection is told to the device as bytes of no length.
-    server = socket.create_server((host, port))
+    server = socket.create_server((HOST, 0))
 
     def run(stop: threading.Event, start: float) -> None:
         """Let the device speak until it is told to stop."""
@@ -169,7 +169,7 @@ def on_ports(
         rover = stack.enter_context(on_pty(FlownReceiver("rover", flight.lines["rover"], clock)))
         base = FlownReceiver("base", flight.lines["base"], clock)
         if base_on_tcp:
-            base_url = f"tcp://{HOST}:{stack.enter_context(on_tcp(base, HOST))}"
+            base_url = f"tcp://{HOST}:{stack.enter_context(on_tcp(base))}"
         else:
             base_url = f"serial:{stack.enter_context(on_pty(base))}"
         yield {"vehicle": f"udp://{HOST}:{port}", "rover": f"serial:{rover}", "base": base_url}
@@ -183,16 +183,16 @@ def awaited(flight: PlayedFlight, *, base_on_tcp: bool = False) -> tuple[str, ..
 
 def record_settings(flight: PlayedFlight, urls: Mapping[str, str], output: Path) -> str:
     """Write the configuration with which `acquire record` records the devices: TOML."""
-    sections: list[tuple[str, dict[str, object]]] = [("[recording]", {"output": str(output)})]
+    links: list[dict[str, object]] = []
     protocols = {"vehicle": "mavlink", "rover": "ubx", "base": flight.base_protocol}
     for name, url in urls.items():
-        sections.append(("[[link]]", {"name": name, "protocol": protocols[name], "url": url}))
+        link: dict[str, object] = {"name": name, "protocol": protocols[name], "url": url}
         if protocols[name] == "mavlink":
-            sections.append(("[link.vehicle]", {"rates_hz": flight.rates_hz, "timesync_s": 1.0}))
+            link["vehicle"] = {"rates_hz": flight.rates_hz, "timesync_s": 1.0}
         elif protocols[name] == "ubx":
-            settings = {"port": "uart1", "rate_ms": round(flight.interval_s[name] * 1000)}
-            sections.append(("[link.ublox]", settings))
-    return toml_text(sections)
+            link["ublox"] = {"port": "uart1", "rate_ms": round(flight.interval_s[name] * 1000)}
+        links.append(link)
+    return toml_text({"recording": {"output": str(output)}, "link": links})
 
 
 def _free_port() -> int:

@@ -28,10 +28,7 @@ def decode(batch: Batch, message: int, dialect: Dialect) -> Messages:
 
 def sources(batch: Batch, index: Integers) -> tuple[Bytes, Bytes]:
     """Return system and component of MAVLink frames."""
-    start = batch.start[index]
-    octets = np.frombuffer(batch.data, np.uint8)
-    second = octets[start] == V2
-    return octets[start + np.where(second, 5, 3)], octets[start + np.where(second, 6, 4)]
+    return _octet(batch, index, 3, 5), _octet(batch, index, 4, 6)
 
 
 def autopilots(batch: Batch, dialect: Dialect) -> list[tuple[int, int]]:
@@ -44,9 +41,13 @@ def autopilots(batch: Batch, dialect: Dialect) -> list[tuple[int, int]]:
 
 def sequences(batch: Batch, index: Integers) -> Bytes:
     """Return the sequence numbers of MAVLink frames: each source counts its frames modulo 256."""
-    start = batch.start[index]
-    octets = np.frombuffer(batch.data, np.uint8)
-    return np.asarray(octets[start + np.where(octets[start] == V2, 4, 2)])
+    return _octet(batch, index, 2, 4)
+
+
+def _octet(batch: Batch, index: Integers, first: int, second: int) -> Bytes:
+    """Return a byte of the head of MAVLink frames: its place in the first and in the second version."""
+    start, octets = batch.start[index], np.frombuffer(batch.data, np.uint8)
+    return np.asarray(octets[start + np.where(octets[start] == V2, second, first)])
 
 
 def encode(

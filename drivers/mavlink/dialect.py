@@ -1,13 +1,10 @@
 """The tables of MAVLink messages: names, checksum seeds and layouts, from pymavlink's dialect."""
 
-import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 # Start bytes of both versions; of the second, the flag of a signature and its length.
 V1, V2, SIGNED, SIGNATURE_BYTES = 0xFE, 0xFD, 0x01, 13
@@ -31,14 +28,11 @@ class Dialect:
     """The messages that are known by their definition.
 
     seeds: checksum seed (CRC_EXTRA) by message id.
-    seed_table (65536,): the same for whole arrays of ids; -1 where the message is not known.
     """
 
     seeds: dict[int, int]
-    seed_table: NDArray[np.int16]
     _classes: dict[int, Any]
     _layouts: dict[int, np.dtype[Any]] = field(default_factory=dict)
-    _boundaries: dict[int, frozenset[int]] = field(default_factory=dict)
 
     def name(self, message: int) -> str:
         """Return the name of a message id, or the number where it is not known."""
@@ -59,17 +53,6 @@ class Dialect:
             self._layouts[message] = np.dtype([_member(known, name) for name in known.ordered_fieldnames])
         return self._layouts[message]
 
-    def possible_in_v1(self, message: int, length: int) -> bool:
-        """Tell whether a MAVLink 1 payload of this length can be the message: it ends where a field ends.
-
-        The tables do not say which fields are extensions, so every end of a field is possible.
-        """
-        if message not in self._boundaries:
-            members: Mapping[str, Any] = self.layout(message).fields or {}
-            sizes = [kind[0].itemsize for kind in members.values()]
-            self._boundaries[message] = frozenset(itertools.accumulate(sizes))
-        return length in self._boundaries[message]
-
 
 def _member(known: Any, name: str) -> tuple[Any, ...]:
     kind = known.fieldtypes[known.fieldnames.index(name)]
@@ -85,10 +68,4 @@ def ardupilotmega() -> Dialect:
     from pymavlink.dialects.v20 import ardupilotmega as tables
 
     classes = dict(tables.mavlink_map)
-    table = np.full(65536, -1, np.int16)
-    seeds = {}
-    for message, known in classes.items():
-        seeds[message] = int(known.crc_extra)
-        if message < len(table):
-            table[message] = known.crc_extra
-    return Dialect(seeds, table, classes)
+    return Dialect({message: int(known.crc_extra) for message, known in classes.items()}, classes)

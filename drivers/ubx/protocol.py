@@ -1,13 +1,15 @@
 """UBX in the table of the receivers' protocols: what its messages tell."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.frames import Batch, Wire
 from drivers.receiver import Fixes, ReceiverProtocol, TimeMarks
 from drivers.ubx import decode as ubx
-from photocal.base.arrays import Integers
+from photocal.base.arrays import Floats, Integers
 
 _PVT_FIXES = ("none", "dead_reckoning", "2d", "3d", "3d", "time_only")
 
@@ -50,18 +52,25 @@ def _pvt(batch: Batch) -> Fixes:
     fix[carrier == 2] = "rtk_fixed"
     return Fixes.of(
         messages.index,
-        latitude_deg=f["lat"] * 1e-7,
-        longitude_deg=f["lon"] * 1e-7,
-        height_m=f["height"] * 1e-3,
-        horizontal_m=f["hAcc"] * 1e-3,
-        vertical_m=f["vAcc"] * 1e-3,
+        **_place(f),
         satellites=f["numSV"].astype(np.int64),
         # JSON knows no infinity: what is 120 s old or older is told as 120 s.
         age_s=np.minimum(ubx.correction_age_s(f), 120.0),
         valid=(f["flags"] & 1) != 0,
         fix=fix,
-        geoid_m=(f["height"].astype(float) - f["hMSL"]) * 1e-3,
     )
+
+
+def _place(f: NDArray[Any]) -> dict[str, Floats]:
+    """Position, claimed accuracy and undulation as NAV-PVT and NAV-POSLLH tell them."""
+    return {
+        "latitude_deg": f["lat"] * 1e-7,
+        "longitude_deg": f["lon"] * 1e-7,
+        "height_m": f["height"] * 1e-3,
+        "horizontal_m": f["hAcc"] * 1e-3,
+        "vertical_m": f["vAcc"] * 1e-3,
+        "geoid_m": (f["height"].astype(float) - f["hMSL"]) * 1e-3,
+    }
 
 
 def _hpposllh(batch: Batch) -> Fixes:
@@ -80,16 +89,7 @@ def _hpposllh(batch: Batch) -> Fixes:
 
 def _posllh(batch: Batch) -> Fixes:
     messages = ubx.decode(batch, ubx.NAV_POSLLH)
-    f = messages.fields
-    return Fixes.of(
-        messages.index,
-        latitude_deg=f["lat"] * 1e-7,
-        longitude_deg=f["lon"] * 1e-7,
-        height_m=f["height"] * 1e-3,
-        horizontal_m=f["hAcc"] * 1e-3,
-        vertical_m=f["vAcc"] * 1e-3,
-        geoid_m=(f["height"].astype(float) - f["hMSL"]) * 1e-3,
-    )
+    return Fixes.of(messages.index, **_place(messages.fields))
 
 
 PROTOCOL = UbxProtocol()

@@ -7,7 +7,7 @@ from operator import attrgetter
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -26,6 +26,14 @@ class Columns:
             if hasattr(value, "__getitem__") and not isinstance(value, str | tuple)
         }
         return replace(self, **kept)  # type: ignore[type-var]
+
+
+def nearest(places: ArrayLike, wanted: ArrayLike) -> Integers:
+    """Give the row of the nearest of some places, in growing order and at least one, for each wanted one."""
+    at, to = np.asarray(places), np.asarray(wanted)
+    after = np.minimum(np.searchsorted(at, to), len(at) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(np.abs(to - at[before]) <= np.abs(at[after] - to), before, after)
 
 
 def spread(places: Floats, count: int, first: list[int]) -> list[int]:

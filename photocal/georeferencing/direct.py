@@ -192,37 +192,6 @@ def direct_orientation(block: Block) -> DirectOrientation:
 
 
 @dataclass(frozen=True)
-class MovedRays:
-    """Poses of a block's observations.
-
-    rotation (n, 3, 3), centre (n, 3): of the line in which each was recorded.
-    late (n,): when it was read, in readouts from the middle.
-    by_readout (n, 6): derivative of turn (camera axes) and centre with respect to the readout.
-    spread (images, 6): sigmas of turn and centre during the whole readout.
-    """
-
-    rotation: Floats
-    centre: Floats
-    late: Floats
-    by_readout: Floats
-    spread: Floats
-
-
-def moved_rays(block: Block, orientation: DirectOrientation) -> MovedRays:
-    """Poses of all observations, moved as their images move."""
-    image, camera = block.observations.image, block.images.camera
-    readout = np.array([interior.values[READOUT] for interior in block.cameras])[camera][:, None]
-    motion, sigma = (np.nan_to_num(part) for part in (block.images.motion, block.images.motion_sigma))
-    views = oriented_images(block.cameras, camera, orientation.rotation, orientation.centre)
-    views = replace(views, movement=motion * readout)
-    pixels = observed_pixels(block)
-    rotation, centre = views.at_lines(image, pixels)
-    late = views.late(image, pixels)
-    by_readout = np.hstack([turned(motion[image], late[:, None]), late[:, None] * motion[image][:, :3]])
-    return MovedRays(rotation, centre, late, by_readout, (sigma * np.abs(readout))[:, np.r_[3:6, :3]])
-
-
-@dataclass(frozen=True)
 class Intersected:
     """Points intersected from given exterior orientations.
 
@@ -245,13 +214,27 @@ class Intersected:
 
 @dataclass(frozen=True)
 class _Rays:
-    """Corrected image coordinates p = -c (u, v)/w and how they depend on measurement and camera."""
+    """Observations: corrected image coordinates p = -c (u, v)/w, and the poses of the lines that have them.
+
+    ideal (n, 2), covariance (n, 2, 2), by_camera (n, 2, parameters): p, and how it depends on measurement and
+        camera.
+    camera, distance (n,): of each, with its principal distance.
+    rotation (n, 3, 3), centre (n, 3): of the line in which each was recorded.
+    late (n,): when it was read, in readouts from the middle.
+    by_readout (n, 6): derivative of turn (camera axes) and centre with respect to the readout.
+    spread (images, 6): sigmas of turn and centre during the whole readout.
+    """
 
     ideal: Floats
     covariance: Floats
     by_camera: Floats
     camera: Integers
     distance: Floats
+    rotation: Floats
+    centre: Floats
+    late: Floats
+    by_readout: Floats
+    spread: Floats
 
 
 def intersect_points(
@@ -269,22 +252,15 @@ def intersect_points(
     chosen = np.flatnonzero(usable & np.isin(block.observations.point, wanted))
     observations = block.observations.rows(chosen)
     block = replace(block, observations=observations)
-    corrected = _corrected(block, np.diag(joint)[len(orientation.common_covariance) :])
-    moved = moved_rays(block, orientation)
-    start = intersect(
-        observations.point,
-        len(block.points.names),
-        moved.centre,
-        moved.rotation,
-        corrected.ideal,
-        corrected.distance,
-    )
+    every = _rays(block, orientation, np.diag(joint)[len(orientation.common_covariance) :])
+    poses = every.centre, every.rotation
+    start = intersect(observations.point, len(block.points.names), *poses, every.ideal, every.distance)
     intersected = []
     for point in wanted:
         rays = np.flatnonzero(observations.point == point)
         if len(rays) < 2 or not np.isfinite(start[point]).all():
             continue
-        solved = _one_point(block, orientation, corrected, moved, rays, start[point], joint)
+        solved = _one_point(block, orientation, every, rays, start[point], joint)
         if solved is not None:
             intersected.append((int(point), rays, *solved))
     rays = np.concatenate([f[1] for f in intersected]) if intersected else np.zeros(0, dtype=np.int64)
@@ -306,15 +282,14 @@ def intersect_points(
 def _one_point(
     block: Block,
     orientation: DirectOrientation,
-    corrected: _Rays,
-    moved: MovedRays,
+    every: _Rays,
     rays: Integers,
     start: Floats,
     joint: Floats,
 ) -> tuple[Floats, Floats, Floats, Floats, float] | None:
     """Coordinates, covariance, residuals, also standardised, and their sum; None where there is no place."""
-    rotation, centre = moved.rotation[rays], moved.centre[rays]
-    c, ideal = corrected.distance[rays], corrected.ideal[rays]
+    rotation, centre = every.rotation[rays], every.centre[rays]
+    c, ideal = every.distance[rays], every.ideal[rays]
     xyz = start
     iterations = 20
     enough_m = 1e-7
@@ -324,7 +299,7 @@ def _one_point(
         by_point = (by_q @ rotation).reshape(-1, 3)
         miss = (-c[:, None] * q[:, :2] / q[:, 2:] - ideal).ravel()
         try:
-            weight = np.linalg.inv(_misclosure(block, orientation, corrected, moved, rays, q, by_q, joint))
+            weight = np.linalg.inv(_misclosure(block, orientation, every, rays, q, by_q, joint))
             covariance = np.linalg.inv(by_point.T @ weight @ by_point)
         except np.linalg.LinAlgError:
             return None
@@ -353,8 +328,7 @@ def _by_camera_axes(q: Floats, c: Floats) -> Floats:
 def _misclosure(
     block: Block,
     orientation: DirectOrientation,
-    corrected: _Rays,
-    moved: MovedRays,
+    every: _Rays,
     rays: Integers,
     q: Floats,
     by_q: Floats,
@@ -364,21 +338,21 @@ def _misclosure(
     n, image = len(rays), block.observations.image[rays]
     # exp([t]x) q = q - [q]x t
     turn = -skew(q)
-    by_pose = np.concatenate([by_q @ turn, -by_q @ moved.rotation[rays]], axis=2)
-    by_readout = np.einsum("nab,nb->na", by_pose, moved.by_readout[rays])
+    by_pose = np.concatenate([by_q @ turn, -by_q @ every.rotation[rays]], axis=2)
+    by_readout = np.einsum("nab,nb->na", by_pose, every.by_readout[rays])
     result = np.zeros((2 * n, 2 * n))
     of_pairs = result.reshape(n, 2, n, 2)
     # Rays of one image share its errors.
     k, other = np.nonzero(image[:, None] == image)
-    late = moved.late[rays[k]] * moved.late[rays[other]]
-    gusts = np.eye(6) * (late[:, None] * moved.spread[image[k]] ** 2)[:, None]
+    late = every.late[rays[k]] * every.late[rays[other]]
+    gusts = np.eye(6) * (late[:, None] * every.spread[image[k]] ** 2)[:, None]
     part = by_pose[k] @ (orientation.covariance[image[k]] + gusts) @ np.swapaxes(by_pose[other], 1, 2)
     of_pairs[k, :, other] += part
-    of_pairs[range(n), :, range(n)] += corrected.covariance[rays]
+    of_pairs[range(n), :, range(n)] += every.covariance[rays]
     shared = [(by_pose @ orientation.by_common[image]).reshape(2 * n, -1)]
     for index in range(len(block.cameras)):
-        of_camera = corrected.camera[rays] == index
-        by_camera = -corrected.by_camera[rays] * of_camera[:, None, None]
+        of_camera = every.camera[rays] == index
+        by_camera = -every.by_camera[rays] * of_camera[:, None, None]
         by_camera[:, :, 0] += np.where(of_camera[:, None], -q[:, :2] / q[:, 2:], 0.0)
         by_camera[:, :, READOUT] += np.where(of_camera[:, None], by_readout, 0.0)
         shared.append(by_camera.reshape(2 * n, -1))
@@ -386,8 +360,11 @@ def _misclosure(
     return np.asarray(result + by_shared @ joint @ by_shared.T)
 
 
-def _corrected(block: Block, variance: Floats) -> _Rays:
-    """Correct the observations; `variance` of all camera parameters tells which derivatives are needed."""
+def _rays(block: Block, orientation: DirectOrientation, variance: Floats) -> _Rays:
+    """Correct the observations; `variance` of all camera parameters tells which derivatives are needed.
+
+    Their poses are moved as the images move.
+    """
     plane, sigma = observed_plane(block)
     camera = block.images.camera[block.observations.image]
     ideal, by_plane = np.empty(plane.shape), np.empty((len(plane), 2, 2))
@@ -409,4 +386,17 @@ def _corrected(block: Block, variance: Floats) -> _Rays:
             lower = undistorted(replace(interior, values=interior.values - move), at)
             by_camera[of_camera, :, k] = (higher - lower) / (2 * move[k])
     covariance = by_plane @ (sigma[:, :, None] ** 2 * np.swapaxes(by_plane, 1, 2))
-    return _Rays(ideal, covariance, by_camera, camera, distance)
+    return _Rays(ideal, covariance, by_camera, camera, distance, *_moved(block, orientation))
+
+
+def _moved(block: Block, orientation: DirectOrientation) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Rotation, centre, lateness of the observations, derivative by the readout, and spread: see `_Rays`."""
+    image, camera = block.observations.image, block.images.camera
+    readout = np.array([interior.values[READOUT] for interior in block.cameras])[camera][:, None]
+    motion, sigma = (np.nan_to_num(part) for part in (block.images.motion, block.images.motion_sigma))
+    views = oriented_images(block.cameras, camera, orientation.rotation, orientation.centre)
+    views = replace(views, movement=motion * readout)
+    pixels = observed_pixels(block)
+    late = views.late(image, pixels)
+    by_readout = np.hstack([turned(motion[image], late[:, None]), late[:, None] * motion[image][:, :3]])
+    return *views.at_lines(image, pixels), late, by_readout, (sigma * np.abs(readout))[:, np.r_[3:6, :3]]

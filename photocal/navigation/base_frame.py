@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from photocal.base.arrays import Floats
+from photocal.base.arrays import Floats, picked
 from photocal.findings.finding import Finding
 from photocal.geometry.realizations import FIXED, FrameShift, Realization, frame_shift, known_realization
 from photocal.navigation.time import GpsTime
@@ -67,15 +67,8 @@ class BaseFrame:
             if source is not None and source != target:
                 yield Finding("base-other-frame", "doubtful", figures=_named(source, target))
             return
-        east, north, up = (float(v) for v in shift.shift_enu_m)
-        figures = _named(shift.source, target) | {
-            "size_m": shift.size_m,
-            "east_m": east,
-            "north_m": north,
-            "up_m": up,
-            "sigma_m": shift.sigma_m,
-            "way": shift.way,
-        }
+        along = dict(zip(("east_m", "north_m", "up_m"), shift.shift_enu_m.tolist(), strict=True))
+        figures = _named(shift.source, target) | along | picked(shift, "size_m", "sigma_m", "way")
         if source is not None:
             yield Finding("base-moved", "note", figures=figures)
         elif target.frame in FIXED:

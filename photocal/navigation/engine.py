@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Floats, Integers, nearest
 from photocal.base.errors import IllPosedError, InputMalformedError, ProgramMissingError
 from photocal.navigation.time import WEEK_NS, GpsTime, exact_ns
 from photocal.navigation.trajectory import Geodetic, Trajectory
@@ -66,12 +66,8 @@ class EngineSolution(Geodetic):
 
     def at(self, time: GpsTime, tolerance_ns: int = 20_000_000) -> Integers:
         """Return the row for each instant, -1 where there is none."""
-        place = np.clip(np.searchsorted(self.time.ns, time.ns), 1, max(len(self) - 1, 1))
-        left = np.abs(self.time.ns[place - 1] - time.ns)
-        right = np.abs(self.time.ns[np.minimum(place, len(self) - 1)] - time.ns)
-        row = np.where(left <= right, place - 1, np.minimum(place, len(self) - 1))
-        near = np.minimum(left, right) <= tolerance_ns
-        return np.where(near, row, -1)
+        row = nearest(self.time.ns, time.ns)
+        return np.where(np.abs(self.time.ns[row] - time.ns) <= tolerance_ns, row, -1)
 
 
 def read_solution(path: Path) -> EngineSolution:
@@ -139,9 +135,7 @@ def _possible(covariance: Floats, quality: Integers) -> Floats:
             # Nothing says how the errors go together; the printed sigmas are all there is.
             covariance[lost] = covariance[lost] * np.eye(3)
             continue
-        after = np.clip(np.searchsorted(good, lost), 1, max(len(good) - 1, 1))
-        left, right = good[after - 1], good[np.minimum(after, len(good) - 1)]
-        covariance[lost] = covariance[np.where(lost - left <= right - lost, left, right)]
+        covariance[lost] = covariance[good[nearest(good, lost)]]
     return covariance
 
 

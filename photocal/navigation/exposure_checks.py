@@ -17,7 +17,7 @@ from photocal.measurement.listed_positions import (
 from photocal.navigation.events import CameraEventList, Events
 from photocal.navigation.exposures import Exposures, Matching
 from photocal.navigation.image_metadata import ImageMetadata, stated_places
-from photocal.navigation.position_comparison import PositionPairs, compare_positions, judge_positions
+from photocal.navigation.position_comparison import compare_positions, judge_positions
 from photocal.navigation.ppk_figures import PpkFigures
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import CameraOnBody, check_mounting
@@ -178,10 +178,8 @@ def _autopilot_clock(e: Evidence) -> Finding:
     here = ours.rows(rows).offsets(origin)
     # Heights of an autopilot follow the air pressure: they say nothing of the time.
     theirs = enu_offsets(path.lat_deg[rows], path.lon_deg[rows], ours.height_m[rows], origin)
-    unknown = np.full((int(rows.sum()), 3, 3), np.nan)
-    pairs = PositionPairs(here, theirs, ours.velocity_m_s[rows] * [1, 1, 0], unknown, None, "shift")
     try:
-        comparison = compare_positions(pairs)
+        comparison = compare_positions(here, theirs, ours.velocity_m_s[rows] * [1, 1, 0], "shift")
     except IllPosedError as refusal:
         return untested(code, "ill-posed", {"reason": str(refusal)})
     best = comparison.best

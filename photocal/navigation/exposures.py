@@ -11,7 +11,7 @@ import numpy as np
 from scipy import special
 from scipy.spatial.transform import Rotation
 
-from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.arrays import Flags, Floats, Integers, nearest
 from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.base.policy import policy
 from photocal.base.tables import TableColumns
@@ -71,17 +71,18 @@ def match(
     *,
     resolution_s: float,
     largest_offset_s: float = 60.0,
-    largest_drift: float = 100e-6,
 ) -> Matching:
     """Match the times of images to those of events by another clock.
 
     image_s, event_s (n,): times in seconds since any origin that both share up to the offset; any order.
-    largest_offset_s, largest_drift: bounds of offset (s) and drift between the clocks.
+    largest_offset_s: bound of the offset between the clocks.
     returns: pairs that are each other's only candidates; everything else is listed as unmatched.
     raises UnrelatedImagesError: when there are too few common moments.
     raises IllPosedError: when a second offset explains nearly as many (shots at equal intervals): the pairs
         would be guessed.
     """
+    # Quartz clocks of cameras gain or lose less.
+    largest_drift = 100e-6
     images, events = np.argsort(image_s, kind="stable"), np.argsort(event_s, kind="stable")
     x, y = np.asarray(image_s, float)[images], np.asarray(event_s, float)[events]
     if min(len(x), len(y)) < _LEAST_PAIRS:
@@ -203,9 +204,7 @@ def _partners(from_s: Floats, to_s: Floats, reach: float) -> tuple[Integers, Fla
     """Return the nearest partner within reach (-1: none) and whether there is more than one."""
     low = np.searchsorted(to_s, from_s - reach)
     high = np.searchsorted(to_s, from_s + reach, side="right")
-    place = np.clip(np.searchsorted(to_s, from_s), 1, len(to_s) - 1)
-    nearest = np.where(from_s - to_s[place - 1] <= to_s[place] - from_s, place - 1, place)
-    return np.where(high > low, nearest, -1), high - low > 1
+    return np.where(high > low, nearest(to_s, from_s), -1), high - low > 1
 
 
 def _refine(

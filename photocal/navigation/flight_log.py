@@ -88,7 +88,7 @@ class FlightLog:
     def raw(self, *wires: Wire, link: str | None = None) -> Iterator[tuple[Wire, LoggedMessages]]:
         """Give the frames of some protocols, of one link or of all, and the protocol of each."""
         by_encoding = {wire.encoding: wire for wire in wires}
-        for messages in self._read():
+        for messages in self._messages:
             channel = messages.channel
             wire = by_encoding.get(channel.encoding)
             if wire is not None and (link is None or channel.topic == f"/{link}/raw"):
@@ -96,10 +96,7 @@ class FlightLog:
 
     def topic(self, name: str) -> Iterator[LoggedMessages]:
         """Give the decoded messages of a topic."""
-        return (m for m in self._read() if m.channel.topic == name and m.channel.schema is not None)
-
-    def _read(self) -> list[LoggedMessages]:
-        return self._messages
+        return (m for m in self._messages if m.channel.topic == name and m.channel.schema is not None)
 
     @cached_property
     def _messages(self) -> list[LoggedMessages]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Floats, Integers, picked
 from photocal.base.errors import PhotocalError
 from photocal.base.policy import policy
 from photocal.base.progress import Progress
@@ -109,9 +109,7 @@ def rotation_check(exposures: Exposures, pairs: list[PairRotation], source: str)
             {
                 "first": names[pair.first],
                 "second": names[pair.second],
-                "points": pair.points,
-                "angle_deg": pair.angle_deg,
-                "quarter_turns": pair.quarter_turns,
+                **picked(pair, "points", "angle_deg", "quarter_turns"),
             }
             for pair in pairs
         ],

@@ -23,42 +23,19 @@ AXIS_NAMES = ("forward", "right", "down")
 
 
 @dataclass(frozen=True)
-class PositionPairs:
-    """The same exposures by two sources, in east, north, up about their middle.
-
-    ours, theirs (n, 3): positions, m.
-    velocity (n, 3): of the vehicle, m/s.
-    to_object (n, 3, 3): from body axes to east, north, up.
-    lever_m (3,): lever arm (camera to antenna, body axes) that was applied to ours.
-    free: what is unknown between the two systems: ``shift``, or ``similarity`` (also scale and rotation).
-    time_sigma_s: how well the time of the exposures is known beforehand; 0: taken as right.
-    lever_sigma_m (3,): how well the lever arm is; None: taken as right.
-    """
-
-    ours: Floats
-    theirs: Floats
-    velocity: Floats
-    to_object: Floats
-    lever_m: Floats | None
-    free: str
-    time_sigma_s: float = 0.0
-    lever_sigma_m: Floats | None = None
-
-
-@dataclass(frozen=True)
 class Explanation:
     """An error that would explain the differences.
 
     name: ``time-offset``, ``lever-arm`` or ``lever-arm-axes``.
     value, sigma (k,): seconds (exposures later than stamped), or metres in body axes (true less given).
-    axes: for swapped axes: what the lever arm should read.
+    axes: for swapped axes: what the lever arm should read, axis by axis.
     gain: by which the criterion of Schwarz falls.
     """
 
     name: str
     value: Floats
     sigma: Floats
-    axes: str
+    axes: tuple[str, ...]
     gain: float
     p: float
 
@@ -88,37 +65,51 @@ class PositionComparison:
     exchange: Explanation | None = None
 
 
-def compare_positions(pairs: PositionPairs) -> PositionComparison:
-    """Find which single error explains the differences of two sources best.
+def compare_positions(
+    ours: Floats,
+    theirs: Floats,
+    velocity: Floats,
+    free: str,
+    to_object: Floats | None = None,
+    rig: CameraOnBody | None = None,
+) -> PositionComparison:
+    """Find which single error explains the differences of two sources of the same exposures best.
 
     theirs - ours = what is unknown between the systems + v dt - R' dl. First dt and dl are held to what is
     known of them beforehand; then each is freed in turn, and every exchange and change of sign of the lever
     arm's axes tried, judged by an F test (0.1 % over all) and the criterion of Schwarz (1978). Gross
     differences are left out. Neighbours share the errors of a receiver's own solution, which wander for
     minutes: differences count as so many independent ones as their autocorrelation leaves.
+
+    ours, theirs (n, 3): positions, m, in east, north, up about their middle.
+    velocity (n, 3): of the vehicle, m/s.
+    free: what is unknown between the two systems: ``shift``, or ``similarity`` (also scale and rotation).
+    to_object (n, 3, 3): from body axes to east, north, up; None: not known.
+    rig: lever arm that was applied to ours, and how well it and the time of the exposures are known
+        beforehand; None: no lever arm was, and the time is taken as right.
     """
-    rows = np.flatnonzero(np.isfinite(pairs.ours + pairs.theirs + pairs.velocity).all(axis=1))
+    rig = rig or CameraOnBody()
+    rows = np.flatnonzero(np.isfinite(ours + theirs + velocity).all(axis=1))
     if len(rows) < _LEAST:
         raise IllPosedError(
             f"{len(rows)} exposures have both positions and a velocity, at least {_LEAST} are needed"
         )
-    turned = bool(np.isfinite(pairs.to_object[rows]).all())
-    to_camera = -pairs.to_object
-    blocks = [_nuisance(pairs), pairs.velocity[:, :, None], *([to_camera] if turned else [])]
+    to_camera = None if to_object is None or not np.isfinite(to_object[rows]).all() else -to_object
+    blocks = [_nuisance(ours, free), velocity[:, :, None], *([] if to_camera is None else [to_camera])]
     design = np.concatenate(blocks, axis=2)
     unknown = blocks[0].shape[2]
     places = {TIME: slice(unknown, unknown + 1)} | (
-        {LEVER: slice(unknown + 1, unknown + 4)} if turned else {}
+        {} if to_camera is None else {LEVER: slice(unknown + 1, unknown + 4)}
     )
-    difference = pairs.theirs - pairs.ours
+    difference = theirs - ours
     rows = _without_gross(design, difference, rows)
     model = _Model(design[rows], difference[rows], *_noise(design[rows], difference[rows]))
     sigma = np.full(design.shape[2], np.inf)
-    sigma[unknown] = pairs.time_sigma_s
-    sigma[unknown + 1 :] = 0.0 if pairs.lever_sigma_m is None else pairs.lever_sigma_m
+    sigma[unknown] = rig.time_offset_sigma_s
+    sigma[unknown + 1 :] = 0.0 if rig.lever_m is None else rig.lever_sigma_m
     tried = [_freed(name, model, sigma, place) for name, place in places.items()]
-    if pairs.lever_m is not None and turned:
-        tried += _exchanged(model, sigma, to_camera[rows], pairs.lever_m)
+    if rig.lever_m is not None and to_camera is not None:
+        tried += _exchanged(model, sigma, to_camera[rows], rig.lever_m)
     judged = [t for t in tried if t.significant and t.p * len(tried) < policy.significance]
     best = max(judged, key=lambda t: t.gain, default=None)
     as_good = [t.name for t in judged if best and t.name != best.name and best.gain - t.gain < policy.as_good]
@@ -192,12 +183,11 @@ def _noise(design: Floats, difference: Floats) -> tuple[float, float]:
     return float(np.sqrt(squares / max(difference.size - design.shape[2], 1))), (1 - r) / (1 + r)
 
 
-def _nuisance(pairs: PositionPairs) -> Floats:
-    n = len(pairs.ours)
-    shift = np.broadcast_to(np.eye(3), (n, 3, 3))
-    if pairs.free == "shift":
+def _nuisance(ours: Floats, free: str) -> Floats:
+    shift = np.broadcast_to(np.eye(3), (len(ours), 3, 3))
+    if free == "shift":
         return shift
-    place = pairs.ours - np.nanmean(pairs.ours, axis=0)
+    place = ours - np.nanmean(ours, axis=0)
     return np.concatenate([shift, -skew(place), place[:, :, None]], axis=2)
 
 
@@ -212,7 +202,7 @@ def _freed(name: str, model: _Model, sigma: Floats, place: slice) -> Explanation
     f = max((rss0 - rss) / k / (rss / dof), 0.0)
     spread = np.sqrt(np.maximum(np.diag(cofactor)[place] * rss / dof, 0.0))
     gain = size * np.log(rss0 / rss) - k * np.log(size)
-    return Explanation(name, x[place], spread, "", float(gain), float(special.fdtrc(k, dof, f)))
+    return Explanation(name, x[place], spread, (), float(gain), float(special.fdtrc(k, dof, f)))
 
 
 def _exchanged(model: _Model, sigma: Floats, to_camera: Floats, lever_m: Floats) -> list[Explanation]:
@@ -230,7 +220,7 @@ def _exchanged(model: _Model, sigma: Floats, to_camera: Floats, lever_m: Floats)
             rss = replace(model, difference=left).solved(sigma)[0]
             # Nothing is estimated: the ratio of the two variances is judged as if one value had been.
             p = float(special.fdtrc(1, dof, max(rss0 / rss - 1, 0.0) * dof))
-            text = ", ".join(f"{v:+.3f} {name}" for v, name in zip(meant, AXIS_NAMES, strict=True))
+            text = tuple(f"{v:+.3f} {name}" for v, name in zip(meant, AXIS_NAMES, strict=True))
             gain = float(size * np.log(rss0 / rss))
             explanations.append(Explanation(AXES, meant - lever_m, np.zeros(3), text, gain, p))
     # Exchanges that differ only where the lever arm is zero are the same.
@@ -269,12 +259,8 @@ def judge_positions(source: str, ours: Exposures, theirs: Floats, rig: CameraOnB
     body = ours.carrier if ours.carrier is not None else ours.attitude
     velocity = p.velocity_m_s[known]
     turn = np.swapaxes(body.rotation[known], 1, 2)
-    lever_sigma = None if rig.lever_m is None else rig.lever_sigma_m
-    pairs = PositionPairs(
-        here, there, velocity, turn, rig.lever_m, free, rig.time_offset_sigma_s, lever_sigma
-    )
     try:
-        comparison = compare_positions(pairs)
+        comparison = compare_positions(here, there, velocity, free, turn, rig)
     except IllPosedError as refusal:
         return untested(code, "ill-posed", {**beside, "reason": str(refusal)})
     return _judged(comparison, beside, rig.lever_m)
@@ -307,7 +293,7 @@ def _judged(comparison: PositionComparison, beside: dict[str, str], lever_m: Flo
         figures["lever"] = tuple(f"mm {1e3 * v:+.0f} {name}" for v, name in parts)
         clauses.append("wrong-by" if lever_m is not None else "there-is")
     if comparison.exchange is not None and best is not comparison.exchange:
-        figures["exchanged_axes"] = comparison.exchange.axes
+        figures["exchanged_axes"] = ", ".join(comparison.exchange.axes)
         figures["exchanged"] = _axes(comparison.exchange.axes)
         clauses.append("or-exchanged")
     elif comparison.same:
@@ -316,5 +302,5 @@ def _judged(comparison: PositionComparison, beside: dict[str, str], lever_m: Flo
     return Finding(best.name, "grave", figures=figures, clauses=tuple(clauses))
 
 
-def _axes(text: str) -> tuple[str, ...]:
-    return tuple(f"m {part}" for part in text.split(", "))
+def _axes(arm: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"m {part}" for part in arm)

@@ -20,7 +20,7 @@ from photocal.navigation.events import logged_exposures
 from photocal.navigation.flight_log import FlightLog
 
 _MSM_FIRST, _MSM_LAST = 1071, 1137
-_NO_DIALECT = Dialect({}, np.full(1, -1, np.int16), {})
+_NO_DIALECT = Dialect({}, {})
 
 
 @dataclass
@@ -69,7 +69,7 @@ class ReceiverRecording:
             self._add_ubx(batch, messages)
         elif wire == Wire.RTCM3:
             self.rtcm.extend(payloads)
-            self.announced_m.extend(decode_stations(batch).ecef_m)
+            self.announced_m.extend(decode_stations(batch)["ecef_m"])
             self.ephemeris_frames += int(np.isin(batch.kind, (1019, 1020, 1042, 1044, 1045, 1046)).sum())
             observing = (batch.kind >= _MSM_FIRST) & (batch.kind <= _MSM_LAST)
             self.observation_frames += int((observing | np.isin(batch.kind, (1002, 1004, 1010, 1012))).sum())

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.frames import Frame, StreamFramer, Wire
+from drivers.rtcm3 import DATE_BYTES, date_ns, number_in
 from photocal.base.archives import DAMAGES, gunzipped, unzipped
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError, reading
 from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS
@@ -138,7 +139,9 @@ def rtcm3_time(frames: list[Frame], path: Path, today: GpsTime, near: GpsTime | 
     near: of the other receiver, or None.
     raises IllPosedError: when nothing tells it.
     """
-    ns = _date_told(frames)
+    dated = (f.data for f in frames if f.kind == 1013 and len(f.data) >= DATE_BYTES)
+    # The difference of GPS time and UTC does not matter here.
+    ns = next((date_ns(data) - GPS_EPOCH_NS for data in dated), None)
     if ns is None:
         ns = _week_told(frames, int(today.ns[0]) // (_WEEK_S * SECOND_NS))
     if ns is None and near is not None:
@@ -154,27 +157,13 @@ def rtcm3_time(frames: list[Frame], path: Path, today: GpsTime, near: GpsTime | 
     return GpsTime(np.array([ns], np.int64))
 
 
-def _bits(frame: Frame, at: int, width: int) -> int:
-    """Read an unsigned number from the message of a frame."""
-    message = frame.data[3:-3]
-    return int.from_bytes(message, "big") >> (8 * len(message) - at - width) & ((1 << width) - 1)
-
-
-def _date_told(frames: list[Frame]) -> int | None:
-    for frame in frames:
-        # DF051, DF052: modified Julian day (44 244 is 1980-01-06) and second of the day, UTC.
-        if frame.kind == 1013 and len(frame.data) >= 14:
-            return (_bits(frame, 24, 16) - 44_244) * _DAY_NS + _bits(frame, 40, 17) * SECOND_NS
-    return None
-
-
 def _week_told(frames: list[Frame], today: int) -> int | None:
     for frame in frames:
         # DF289: week of Galileo, 12 bits, after number and satellite (6 bits); DF076: of GPS, 10 bits.
         if frame.kind in (1045, 1046):
-            return _middle_of(_bits(frame, 18, 12) + _GALILEO_START)
+            return _middle_of(number_in(frame.data, 18, 12) + _GALILEO_START)
         if frame.kind == 1019:
-            week = _bits(frame, 18, 10)
+            week = number_in(frame.data, 18, 10)
             return _middle_of(week + (today - week) // _ROLLOVER * _ROLLOVER)
     return None
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from photocal.base.arrays import Floats, as_plain
+from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import write_json, write_rows
 from photocal.base.text_tables import read_wider_table
@@ -172,12 +172,7 @@ def calibration_figures(made: SiteCalibration) -> dict[str, Any]:
 
 
 def _part(part: FittedPart) -> dict[str, Any]:
-    return {
-        "covariance": part.covariance,
-        "redundancy": part.redundancy,
-        "sigma0": part.factor,
-        "rms_m": _rms(part),
-    }
+    return {**picked(part, "covariance", "redundancy", sigma0="factor"), "rms_m": _rms(part)}
 
 
 def _rms(part: FittedPart) -> float:

@@ -128,11 +128,11 @@ def test_reference_stations_are_those_of_pyrtcm_and_of_the_description(shared: P
     ours = rtcm3.decode_stations(batch)
     assert len(ours.index) == 87
     # The description has the last digit of Z one higher than pyrtcm reads it.
-    assert ours.ecef_m[0] == pytest.approx([2078678.9505, -5683737.4210, 2006886.9707], abs=1.1e-4)
-    assert ours.antenna_height_m[0] == pytest.approx(0.1299, abs=5e-5)
+    assert ours["ecef_m"][0] == pytest.approx([2078678.9505, -5683737.4210, 2006886.9707], abs=1.1e-4)
+    assert ours["antenna_height_m"][0] == pytest.approx(0.1299, abs=5e-5)
     theirs = RTCMReader.parse(batch.frame(int(ours.index[0])).data)
-    assert ours.ecef_m[0] == pytest.approx([theirs.DF025, theirs.DF026, theirs.DF027], abs=1e-6)
-    assert ours.station[0] == theirs.DF003
+    assert ours["ecef_m"][0] == pytest.approx([theirs.DF025, theirs.DF026, theirs.DF027], abs=1e-6)
+    assert ours["station"][0] == theirs.DF003
 
 
 @pytest.mark.shared

@@ -160,7 +160,7 @@ def _almanac(number: int, almanacs: Sequence[Ephemeris]) -> list[str]:
     toa = round(e.value("toe")) // 4096 * 4096
     passed = toa - e.value("toe")
     motion = (3.986005e14**0.5) / e.value("sqrt_a") ** 3
-    anomaly = _turned(e.value("m0") + motion * passed)
+    anomaly = e.value("m0") + motion * passed
     clock = round((e.value("af0") + e.value("af1") * passed) * 2**20)
     bits = _page(number) + joined(
         [
@@ -170,22 +170,17 @@ def _almanac(number: int, almanacs: Sequence[Ephemeris]) -> list[str]:
             (round(e.value("omega_dot") / SEMICIRCLE_RAD * 2**38), 16),
             (e.health << 2 & 0xFF if e.health else 0, 8),
             (round(e.value("sqrt_a") * 2**11), 24),
-            (_half_turns(e.value("omega0")), 24),
-            (_half_turns(e.value("omega")), 24),
-            (_half_turns(anomaly), 24),
+            *(_wrapped(angle, 24) for angle in (e.value("omega0"), e.value("omega"), anomaly)),
         ]
     )
     coded = field(clock, 11)
     return _split(bits + coded[:8] + field(round(e.value("af1") * 2**38), 11) + coded[8:])
 
 
-def _half_turns(angle: float) -> int:
-    number = round(_turned(angle) / SEMICIRCLE_RAD * 2**23)
-    return -number if number == 1 << 23 else number
-
-
-def _turned(angle: float) -> float:
-    return (angle + SEMICIRCLE_RAD) % (2 * SEMICIRCLE_RAD) - SEMICIRCLE_RAD
+def _wrapped(angle: float, width: int) -> tuple[int, int]:
+    """Return an angle in so many bits of a turn, from half a turn back to half a turn ahead."""
+    half = 1 << width - 1
+    return (round(angle / SEMICIRCLE_RAD * half) + half) % (2 * half) - half, width
 
 
 def _split(bits: str) -> list[str]:
@@ -287,8 +282,7 @@ def _clock(e: Ephemeris) -> Bits:
 
 
 def _angle(e: Ephemeris, name: str) -> tuple[int, int]:
-    number = round(e.value(name) / SEMICIRCLE_RAD * 2**15)
-    return (number + 2**15) % 2**16 - 2**15, 16
+    return _wrapped(e.value(name), 16)
 
 
 def page(

@@ -91,7 +91,8 @@ def run_clock(model: ReceiverModel, start_gps_ns: int, stop_gps_ns: int, rng: np
     drift = rng.uniform(-5e-7, 5e-7) if model.clock_drift is None else model.clock_drift
     rate = drift + model.clock_noise / np.sqrt(model.interval_s) * rng.standard_normal(len(tag))
     total = bias + np.concatenate([[0.0], np.cumsum(rate[:-1])]) * model.interval_s
-    steps = np.rint(total * 1e3) if model.clock_steps else np.zeros(len(tag))
+    # Set by a millisecond when it is half of one off (`clkReset` of RXM-RAWX).
+    steps = np.rint(total * 1e3)
     # The epoch after a step comes a millisecond later: the clock has gone on meanwhile.
     total[1:] += np.cumsum(rate[:-1] * np.diff(steps)) * 1e-3
     moved = np.concatenate([[False], np.diff(steps) != 0])
@@ -169,39 +170,42 @@ def _arcs(
     )
 
 
-@dataclass(frozen=True)
-class Noise:
-    """Signal strength and standard deviations at the epochs, float64 (n,) each."""
+def thermal(
+    signal: Signal, elevation: Floats, model: ReceiverModel, rng: np.random.Generator
+) -> dict[str, Floats]:
+    """Return strength and noise of a signal at the epochs (Kaplan and Hegarty 2006, equations 5.15 and 5.8).
 
-    cn0_dbhz: Floats
-    code_m: Floats
-    phase_cycles: Floats
-    doppler_hz: Floats
-
-
-def thermal(signal: Signal, elevation: Floats, model: ReceiverModel, rng: np.random.Generator) -> Noise:
-    """Return strength and noise of a signal (Kaplan and Hegarty 2006, equations 5.15 and 5.8)."""
+    returns: signal strength and standard deviations (n,) under their names in `ROW`.
+    """
     # A patch antenna loses this much from the zenith to the horizon.
     low_gain_db = 13.0
     gain = low_gain_db * (1 - np.sin(np.maximum(elevation, 0.0)) ** 0.7)
-    fading = correlated(len(elevation), model.interval_s / _FADING_S, 1, rng)[0]
+    fading = correlated(rng.standard_normal(len(elevation)), model.interval_s / _FADING_S)
     cn0 = model.cn0_dbhz - signal.weaker_db - gain + _FADING_DB * fading
     power = 10 ** (cn0 / 10)
     squaring = 1 + 2 / (power * _INTEGRATION_S * (2 - _SPACING))
     code = signal.chip_m * np.sqrt(_CODE_LOOP_HZ * _SPACING / (2 * power) * squaring)
     radians = np.sqrt(_PHASE_LOOP_HZ / power * (1 + 1 / (2 * _INTEGRATION_S * power)))
     phase = radians / (2 * np.pi)
-    return Noise(cn0, code, phase, np.sqrt(2) * phase / (2 * np.pi * _INTEGRATION_S))
+    return {
+        "cn0_dbhz": cn0,
+        "code_sigma_m": code,
+        "phase_sigma_cycles": phase,
+        "doppler_sigma_hz": np.sqrt(2) * phase / (2 * np.pi * _INTEGRATION_S),
+    }
 
 
-def correlated(count: int, step: float, rows: int, rng: np.random.Generator) -> Floats:
-    """Return Gauss-Markov sequences of unit variance, float64 (rows, count)."""
+def correlated(white: Floats, step: float) -> Floats:
+    """Return Gauss-Markov sequences of unit variance made of white noise, along its last axis.
+
+    step: time between the values over the time that they stay alike.
+    """
     from scipy.signal import lfilter
 
     keep = np.exp(-step)
-    white = rng.standard_normal((rows, count))
-    white[:, 1:] *= np.sqrt(1 - keep**2)
-    return np.asarray(lfilter([1.0], [1.0, -keep], white, axis=1))
+    kicks = white * np.sqrt(1 - keep**2)
+    kicks[..., 0] = white[..., 0]
+    return np.asarray(lfilter([1.0], [1.0, -keep], kicks))
 
 
 @dataclass(frozen=True)
@@ -274,11 +278,13 @@ def _satellite(
     parts = []
     for number, (signal, chance) in enumerate(zip(SIGNALS[satellite.system], rng.spawn(2), strict=True)):
         noise = thermal(signal, way.elevation, model, chance)
-        arrives = above & ~blocked & (noise.cn0_dbhz > weakest_dbhz)
+        arrives = above & ~blocked & (noise["cn0_dbhz"] > weakest_dbhz)
         held = track(seconds, arrives, model.slips_per_hour, signal.data, chance)
         delay = layer * on(signal.frequency_hz)
         code = slow + delay + LIGHT_M_S * group_delay_s(satellite, number) + biases[number]
-        multipath = correlated(len(code), model.interval_s / model.multipath_time_s, 2, chance)
+        multipath = correlated(
+            chance.standard_normal((2, len(code))), model.interval_s / model.multipath_time_s
+        )
         multipath[0] *= model.code_multipath_m * min(signal.chip_m / 293.0, 1.0) ** 0.5 * strength
         multipath[1] *= model.phase_multipath_m * strength * signal.wavelength_m / 0.1903
         measured = slow - delay, code, multipath
@@ -311,7 +317,7 @@ def _rows(
     clock: Clock,
     way: SatelliteView,
     held: Tracking,
-    noise: Noise,
+    noise: dict[str, Floats],
     measured: tuple[Floats, Floats, Floats],
     rng: np.random.Generator,
 ) -> NDArray[np.void]:
@@ -319,9 +325,9 @@ def _rows(
     phase_m, code_m, multipath = (values[..., chosen] for values in measured)
     rows = np.zeros(len(chosen), ROW)
     rows["epoch"], rows["satellite"], rows["signal"] = chosen, *numbers
-    sigma = noise.code_m[chosen]
-    rows["code_m"] = code_m + multipath[0] + sigma * rng.standard_normal(len(chosen))
-    fine = noise.phase_cycles[chosen]
+    for name, values in noise.items():
+        rows[name] = values[chosen]
+    rows["code_m"] = code_m + multipath[0] + rows["code_sigma_m"] * rng.standard_normal(len(chosen))
     phase = phase_m + multipath[1]
     # The ambiguity brings the phase near the code (u-blox F9 HPG 1.32, RXM-RAWX), the same for all arcs.
     near = np.rint((code_m[:1] - phase_m[:1]) / signal.wavelength_m)
@@ -330,16 +336,14 @@ def _rows(
         + near
         + held.ambiguity[chosen]
         + way.wind_up[chosen]
-        + fine * rng.standard_normal(len(chosen))
+        + rows["phase_sigma_cycles"] * rng.standard_normal(len(chosen))
     )
     rows["phase_cycles"][~held.phase[chosen]] = 0.0
     rate = way.range_rate_m_s + LIGHT_M_S * (clock.rate - way.clock_rate)
-    swing = noise.doppler_hz[chosen]
     doppler = -rate[chosen] / (1 + clock.rate[chosen]) / signal.wavelength_m
-    rows["doppler_hz"] = doppler + swing * rng.standard_normal(len(chosen))
-    rows["cn0_dbhz"], rows["lock_s"] = noise.cn0_dbhz[chosen], held.lock_s[chosen]
+    rows["doppler_hz"] = doppler + rows["doppler_sigma_hz"] * rng.standard_normal(len(chosen))
+    rows["lock_s"] = held.lock_s[chosen]
     rows["azimuth"], rows["elevation"] = way.azimuth[chosen], way.elevation[chosen]
-    rows["code_sigma_m"], rows["phase_sigma_cycles"], rows["doppler_sigma_hz"] = sigma, fine, swing
     rows["has_phase"] = held.phase[chosen]
     rows["half_valid"], rows["half_subtracted"] = held.half_valid[chosen], held.half_subtracted[chosen]
     return rows

@@ -88,8 +88,6 @@ class ReceiverModel:
     clock_bias_s, clock_drift: receiver time minus GPS time at the start, seconds, and its rate; None: by
         chance, within 0.4 ms and 5e-7.
     clock_noise: white frequency noise of the oscillator, s / sqrt(s).
-    clock_steps: whether the clock is set by a millisecond when it is half of one off (`clkReset` of
-        RXM-RAWX).
     slips_per_hour: rate of cycle slips of each signal.
     code_bias_m: standard deviation of the receiver's own delays, constant for each signal.
     gaps_s: times without any measurement, seconds from the start.
@@ -104,7 +102,6 @@ class ReceiverModel:
     clock_bias_s: float | None = None
     clock_drift: float | None = None
     clock_noise: float = 3e-10
-    clock_steps: bool = True
     slips_per_hour: float = 0.2
     code_bias_m: float = 0.5
     gaps_s: tuple[tuple[float, float], ...] = ()

@@ -44,7 +44,7 @@ def solution_messages(
     clock, place = observations.clock, observations.place
     count = len(clock)
     step = float(np.median(np.diff(clock.tag_gps_ns))) / SECOND_NS if count > 1 else 1.0
-    error = correlated(count, step / _CORRELATION_S, 3, rng).T * _SIGMA_M
+    error = correlated(rng.standard_normal((3, count)), step / _CORRELATION_S).T * _SIGMA_M
     frame = place.axes
     metres_per_rad = 6_378_137.0
     lat = np.degrees(place.lat + error[:, 1] / metres_per_rad)

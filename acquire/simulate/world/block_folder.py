@@ -3,8 +3,7 @@
 Every observation of the folder carries just the noise that it states.
 """
 
-import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,8 @@ from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.observations import MeasuredPoints, kept_images
 from acquire.simulate.world.place import LEAP_S
 from acquire.simulate.world.world import World
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Floats, Integers, picked
+from photocal.base.codec import toml_text
 from photocal.base.errors import ConfigurationError
 
 # Format and values of each column, by its name.
@@ -86,16 +86,14 @@ def _navigation(
     velocity = antenna_velocity(world.motion, world.rig, event)
     angles = np.degrees(world.motion.angles(event))
     angles = angles + random.standard_normal(angles.shape) * rig.attitude_sigma_deg
-    wide = np.ones(len(kept))
     positions = {
-        **{axis: (".5f", position[:, k]) for k, axis in enumerate("XYZ")},
-        **{f"s{axis}": ("g", rig.position_sigma_m[k] * wide) for k, axis in enumerate("XYZ")},
-        **{f"v{axis}": (".5f", velocity[:, k]) for k, axis in enumerate("XYZ")},
+        **columns_of("X Y Z", position, ".5f"),
+        **columns_of("sX sY sZ", np.tile(rig.position_sigma_m, (len(kept), 1)), "g"),
+        **columns_of("vX vY vZ", velocity, ".5f"),
     }
-    names = ("roll", "pitch", "yaw")
     attitudes = {
-        **{name: (".6f", angles[:, k]) for k, name in enumerate(names)},
-        **{f"s{name}": ("g", rig.attitude_sigma_deg[k] * wide) for k, name in enumerate(names)},
+        **columns_of("roll pitch yaw", angles, ".6f"),
+        **columns_of("sroll spitch syaw", np.tile(rig.attitude_sigma_deg, (len(kept), 1)), "g"),
     }
     return positions, attitudes
 
@@ -137,25 +135,25 @@ def camera_keys(configuration: FlightConfiguration) -> dict[str, Any]:
 
 def _setup(world: World) -> str:
     given = world.configuration
+    rig = given.rig
     return toml_text(
-        [
-            ("[block]", {"name": given.name, "frame": "local", "height": "local", "datum": "control"}),
-            ("[observations]", {"unit": "px", "axes": "pixel", "sigma": given.observing.sigma_px}),
-            ("[[camera]]", camera_keys(given)),
-            (
-                "[mounting]",
-                {
-                    "lever_arm_m": world.noted_arm_m,
-                    "lever_arm_sigma_m": given.rig.camera_to_antenna_sigma_m,
-                    "boresight_deg": given.rig.boresight_deg,
-                    "boresight_sigma_deg": given.rig.boresight_sigma_deg,
-                    "time_offset_s": given.rig.time_offset_s,
-                    "time_offset_sigma_s": given.rig.time_offset_sigma_s,
-                    "camera_axes": ["right", "forward", "up"],
-                },
-            ),
-        ]
+        {
+            "block": {"name": given.name, "frame": "local", "height": "local", "datum": "control"},
+            "observations": {"unit": "px", "axes": "pixel", "sigma": given.observing.sigma_px},
+            "camera": [camera_keys(given)],
+            "mounting": {
+                "lever_arm_m": world.noted_arm_m.tolist(),
+                "lever_arm_sigma_m": rig.camera_to_antenna_sigma_m,
+                **picked(rig, "boresight_deg", "boresight_sigma_deg", "time_offset_s", "time_offset_sigma_s"),
+                "camera_axes": ["right", "forward", "up"],
+            },
+        }
     )
+
+
+def columns_of(names: str, values: Floats, form: str) -> dict[str, tuple[str, Floats]]:
+    """Give the columns of an array (n, k) of one format; their names stand between blanks."""
+    return {name: (form, column) for name, column in zip(names.split(), values.T, strict=True)}
 
 
 def write_table(path: Path, columns: Columns) -> None:
@@ -169,28 +167,6 @@ def write_table(path: Path, columns: Columns) -> None:
     ]
     lines = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def toml_text(sections: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
-    """Write TOML sections: each a header such as ``[flight]`` (empty for none) and its keys."""
-    parts = []
-    for header, keys in sections:
-        lines = [header] if header else []
-        lines += [f"{key} = {_value(value)}" for key, value in keys.items()]
-        parts.append("\n".join(lines))
-    return "\n\n".join(parts) + "\n"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{json.dumps(str(k))} = {_value(v)}" for k, v in value.items()) + " }"
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return "[" + ", ".join(_value(each) for each in value) + "]"
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float):
-        return repr(value)
-    return json.dumps(value, ensure_ascii=False)
 
 
 def noted_control(world: World, coordinates: Floats) -> tuple[list[tuple[str, ...]], str]:

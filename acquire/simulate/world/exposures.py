@@ -73,9 +73,10 @@ def antenna_at(motion: Motion, rig: TrueRig, time_s: Floats) -> Floats:
     )
 
 
-def antenna_velocity(motion: Motion, rig: TrueRig, time_s: Floats, step_s: float = 1e-3) -> Floats:
+def antenna_velocity(motion: Motion, rig: TrueRig, time_s: Floats) -> Floats:
     """Give velocities of the antenna by central differences, shape (n, 3)."""
     # Over 1 ms the third derivative of a motion of 60 Hz and millimetres leaves an error far below 1 mm/s.
+    step_s = 1e-3
     after, before = (antenna_at(motion, rig, time_s + side * step_s) for side in (1.0, -1.0))
     return np.asarray((after - before) / (2 * step_s))
 

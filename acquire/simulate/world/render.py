@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from acquire.simulate.world.camera import TrueCamera
 from acquire.simulate.world.exposures import TO_OPENCV, Pose, pose_at
-from acquire.simulate.world.observations import row_time, seen_rolling
+from acquire.simulate.world.observations import row_time, seen, seen_rolling
 from acquire.simulate.world.terrain import HeightField
 from acquire.simulate.world.world import STREAMS, World
 from photocal.base.arrays import Bytes, Floats
@@ -340,8 +340,7 @@ def _spread(scene: PaintedScene, number: int) -> NDArray[np.float32]:
     ray = np.array([[0.0, 0.0, 1.0]]) @ TO_OPENCV @ pose.rotation[number]
     ground = world.terrain.intersect(pose.centre_m[number : number + 1], ray)
     ends = pose_at(world.motion, world.rig, np.array([time - half, time + half]))
-    rays = np.squeeze(ends.rotation @ (ground - ends.centre_m)[..., None], axis=-1) @ TO_OPENCV
-    begin, end = camera.project(rays)
+    begin, end = seen(ground, ends, camera)
     way = (end - begin) * np.linspace(-0.5, 0.5, 21)[:, None]
     at = np.arange(-4, 5)
     sigma = max(world.configuration.pictures.blur_px, 0.05)

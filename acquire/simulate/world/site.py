@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from acquire.simulate.world import block_folder
-from acquire.simulate.world.block_folder import Columns, noted_control, toml_text, write_table
+from acquire.simulate.world.block_folder import Columns, columns_of, noted_control, write_table
 from acquire.simulate.world.camera import OPENCV, TrueCamera
 from acquire.simulate.world.configuration import FlightConfiguration, Level
 from acquire.simulate.world.exposures import antenna_at, omega_phi_kappa
@@ -25,7 +25,8 @@ from acquire.simulate.world.render import make_scene, render
 from acquire.simulate.world.streams import RecordedWire, make_streams, telemetry_log
 from acquire.simulate.world.telemetry import LABEL, make_filter
 from acquire.simulate.world.world import World, make_world, picture_stamps
-from photocal.base.arrays import Floats
+from photocal.base.arrays import Floats, picked
+from photocal.base.codec import toml_text
 from photocal.base.files import write_json
 
 
@@ -76,9 +77,7 @@ def _figures(world: World) -> dict[str, object]:
         },
         "local_frame": {
             "axes": "east, north, up, topocentric at the origin on GRS 80",
-            "latitude_deg": place.latitude_deg,
-            "longitude_deg": place.longitude_deg,
-            "height_m": place.height_m,
+            **picked(place, "latitude_deg", "longitude_deg", "height_m"),
         },
         "crs": place.crs,
         "start_gps_ns": world.start_gps_ns,
@@ -96,12 +95,8 @@ def _settings(world: World) -> str:
     """Give the configuration with everything that was not written into it, so that it can be flown again."""
     content = world.configuration.model_dump(by_alias=True, mode="json", exclude_none=True)
     content["faults"] = sorted(content["faults"])
-    plan = content["plan"]
-    passes = plan.pop("pass")
-    tables = {key: value for key, value in content.items() if isinstance(value, dict)}
-    sections = [("", {key: value for key, value in content.items() if key not in tables})]
-    sections += [(f"[{name}]", keys) for name, keys in tables.items()]
-    return toml_text(sections + [("[[plan.pass]]", keys) for keys in passes])
+    # What belongs to no table stands before all tables.
+    return toml_text(dict(sorted(content.items(), key=lambda item: isinstance(item[1], dict))))
 
 
 def _camera(camera: TrueCamera) -> dict[str, object]:
@@ -123,21 +118,23 @@ def _write_exposures(world: World, path: Path, projected: bool) -> None:
         "strip": ("d", exposures.strip),
         "event_gps_ns": ("d", world.gps_ns(exposures.event_s)),
         "middle_gps_ns": ("d", world.gps_ns(exposures.middle_s)),
-        **_columns(("X", "Y", "Z"), pose.centre_m, ".5f"),
-        **_columns(("omega", "phi", "kappa"), angles, ".7f"),
-        **_columns(("roll", "pitch", "yaw"), np.degrees(world.motion.angles(exposures.event_s)), ".6f"),
-        **_columns(("antenna_X", "antenna_Y", "antenna_Z"), antenna, ".5f"),
+        **columns_of("X Y Z", pose.centre_m, ".5f"),
+        **columns_of("omega phi kappa", angles, ".7f"),
+        **columns_of("roll pitch yaw", np.degrees(world.motion.angles(exposures.event_s)), ".6f"),
+        **columns_of("antenna_X antenna_Y antenna_Z", antenna, ".5f"),
     }
     if projected:
         grid = np.degrees(omega_phi_kappa(pose.rotation @ grid_to_local(world.place, pose.centre_m)))
-        columns |= _columns(("E", "N", "h"), world.place.to_projected(pose.centre_m), ".5f")
-        columns |= _columns(("omega_grid", "phi_grid", "kappa_grid"), grid, ".7f")
-        columns |= _columns(("antenna_E", "antenna_N", "antenna_h"), world.place.to_projected(antenna), ".5f")
+        columns |= columns_of("E N h", world.place.to_projected(pose.centre_m), ".5f")
+        columns |= columns_of("omega_grid phi_grid kappa_grid", grid, ".7f")
+        columns |= columns_of("antenna_E antenna_N antenna_h", world.place.to_projected(antenna), ".5f")
     write_table(path, columns)
 
 
-def grid_to_local(place: Place, local_m: Floats, step_m: float = 10.0) -> Floats:
+def grid_to_local(place: Place, local_m: Floats) -> Floats:
     """Give rotations from grid east, grid north, up at places to the local frame, shape (n, 3, 3)."""
+    # To the north and to the south: the direction of the local north in the grid.
+    step_m = 10.0
     geodetic = place.to_geodetic(local_m)
     (sb, sl), (cb, cl) = np.sin(geodetic[:, :2]).T, np.cos(geodetic[:, :2]).T
     up = np.column_stack([cb * cl, cb * sl, sb]) @ place.axes.T
@@ -161,9 +158,9 @@ def _write_points(world: World, path: Path, observed: MeasuredPoints | None, pro
     if observed is not None:
         names, points = list(observed.names), observed.points_m
         roles += ["tie"] * (len(names) - len(roles))
-    columns: Columns = {"point": ("", names), "role": ("", roles), **_columns(("X", "Y", "Z"), points, ".5f")}
+    columns: Columns = {"point": ("", names), "role": ("", roles), **columns_of("X Y Z", points, ".5f")}
     if projected:
-        columns |= _columns(("E", "N", "h"), world.place.to_projected(points), ".5f")
+        columns |= columns_of("E N h", world.place.to_projected(points), ".5f")
     write_table(path, columns)
 
 
@@ -178,13 +175,9 @@ def _write_trajectory(world: World, path: Path) -> None:
             "lat_deg": (".10f", np.degrees(geodetic[:, 0])),
             "lon_deg": (".10f", np.degrees(geodetic[:, 1])),
             "height_m": (".5f", geodetic[:, 2]),
-            **_columns(("roll", "pitch", "yaw"), np.degrees(world.motion.angles(time)), ".6f"),
+            **columns_of("roll pitch yaw", np.degrees(world.motion.angles(time)), ".6f"),
         },
     )
-
-
-def _columns(names: tuple[str, ...], values: Floats, form: str) -> Columns:
-    return {name: (form, values[:, k]) for k, name in enumerate(names)}
 
 
 Advance = Callable[[float], None]
@@ -196,16 +189,16 @@ def write_project(world: World, site: Path) -> None:
     block = given.level is Level.BLOCK
     crs, height = ("local", "local") if block else (given.place.crs, "ellipsoidal")
     head = {"name": given.name, "crs": crs, "height": height, "output": "work"}
-    sections: list[tuple[str, dict[str, Any]]] = [("[project]", head)]
+    sections: dict[str, Any] = {"project": head}
     if block:
-        sections.append(("[measurements]", {"block": "block"}))
+        sections["measurements"] = {"block": "block"}
     else:
         write_control(world, site)
-        sections += _flight(world)
-    judgement = given.judgement.model_dump(exclude_defaults=True)
-    sections += [("[judgement]", judgement)] if judgement else []
-    sections.append(("[certificate]", {"particulars": "particulars.toml"}))
-    (site / "project.toml").write_text(block_folder.toml_text(sections), encoding="utf-8")
+        sections |= _flight(world)
+    if judgement := given.judgement.model_dump(exclude_defaults=True):
+        sections["judgement"] = judgement
+    sections["certificate"] = {"particulars": "particulars.toml"}
+    (site / "project.toml").write_text(toml_text(sections), encoding="utf-8")
 
 
 def write_control(world: World, site: Path) -> None:
@@ -214,7 +207,7 @@ def write_control(world: World, site: Path) -> None:
     block_folder.write_targets(world, surveyed, site / "control.csv", world.targets.names)
 
 
-def _flight(world: World) -> list[tuple[str, dict[str, Any]]]:
+def _flight(world: World) -> dict[str, Any]:
     given = world.configuration
     base = world.place.to_geodetic(world.noted_base_m[None])[0]
     place = [*(round(angle, 10) for angle in np.degrees(base[:2]).tolist()), round(float(base[2]), 4)]
@@ -232,37 +225,31 @@ def _flight(world: World) -> list[tuple[str, dict[str, Any]]]:
             "side_m": given.targets.side_m,
             "names": {str(code): name for code, name in codes},
         }
-    sections: list[tuple[str, dict[str, Any]]] = [
-        (
-            "[flight]",
-            {
-                "logs": ["flight.mcap"],
-                "vehicle": "vehicle",
-                "rover": "rover",
-                "base": "base",
-                "base_position": place,
-                "base_antenna_height_m": round(world.noted_antenna_height_m, 4),
-                "rover_antenna_height_m": 0.0,
-                "weather": weather,
-                "edge": "rising",
-                "clock_offset_s": 30.0,
-            },
-        ),
-        ("[images]", {"folder": "images"} if pictures else {"times": "times.csv"}),
-        (
-            "[rig]",
-            {
-                **given.rig.model_dump(exclude={"position_sigma_m"}),
-                "camera_to_antenna_m": world.noted_arm_m,
-                "camera_axes": ["right", "forward", "up"],
-            },
-        ),
-        ("[[camera]]", block_folder.camera_keys(given)),
-        ("[control]", control),
-    ]
+    sections = {
+        "flight": {
+            "logs": ["flight.mcap"],
+            "vehicle": "vehicle",
+            "rover": "rover",
+            "base": "base",
+            "base_position": place,
+            "base_antenna_height_m": round(world.noted_antenna_height_m, 4),
+            "rover_antenna_height_m": 0.0,
+            "weather": weather,
+            "edge": "rising",
+            "clock_offset_s": 30.0,
+        },
+        "images": {"folder": "images"} if pictures else {"times": "times.csv"},
+        "rig": {
+            **given.rig.model_dump(exclude={"position_sigma_m"}),
+            "camera_to_antenna_m": world.noted_arm_m.tolist(),
+            "camera_axes": ["right", "forward", "up"],
+        },
+        "camera": [block_folder.camera_keys(given)],
+        "control": control,
+    }
     if not pictures:
         measured = {"observations": "observations.csv", "sigma_px": given.observing.sigma_px}
-        sections.append(("[measurements]", measured))
+        sections["measurements"] = measured
     return sections
 
 
@@ -271,41 +258,32 @@ def write_particulars(world: World, path: Path) -> None:
     given, camera = world.configuration, world.configuration.camera
     plan = given.plan
     sensor = [round(side * camera.pitch_mm, 3) for side in camera.size_px]
-    text = block_folder.toml_text(
-        [
-            (
-                "[document]",
-                {
-                    "client": "SIMULATED FLIGHT, it never took place",
-                    "operator": "simulator",
-                    "comments": f"Simulated flight {given.name!r}, seed {given.seed}.",
-                },
-            ),
-            (
-                "[camera]",
-                {
-                    "model": camera.id,
-                    "manufacturer": "simulated",
-                    "serial": f"{given.seed:04d}",
-                    "lens_type": f"fixed, {camera.nominal_mm:g} mm",
-                    "sensor_size_mm": sensor,
-                    "effective_pixels": float(camera.size_px[0] * camera.size_px[1]),
-                    "nominal_focal_length_mm": camera.nominal_mm,
-                    "pixel_size_mm": camera.pitch_mm,
-                },
-            ),
-            (
-                "[campaign]",
-                {
-                    "method": "on-the-job calibration",
-                    "test_field": given.name,
-                    "platform": "multirotor, simulated",
-                    "flying_height_m": plan.passes[0].height_m,
-                    "exposure_time_s": camera.exposure_s,
-                    "forward_overlap": plan.passes[0].forward_overlap,
-                },
-            ),
-        ]
+    text = toml_text(
+        {
+            "document": {
+                "client": "SIMULATED FLIGHT, it never took place",
+                "operator": "simulator",
+                "comments": f"Simulated flight {given.name!r}, seed {given.seed}.",
+            },
+            "camera": {
+                "model": camera.id,
+                "manufacturer": "simulated",
+                "serial": f"{given.seed:04d}",
+                "lens_type": f"fixed, {camera.nominal_mm:g} mm",
+                "sensor_size_mm": sensor,
+                "effective_pixels": float(camera.size_px[0] * camera.size_px[1]),
+                "nominal_focal_length_mm": camera.nominal_mm,
+                "pixel_size_mm": camera.pitch_mm,
+            },
+            "campaign": {
+                "method": "on-the-job calibration",
+                "test_field": given.name,
+                "platform": "multirotor, simulated",
+                "flying_height_m": plan.passes[0].height_m,
+                "exposure_time_s": camera.exposure_s,
+                "forward_overlap": plan.passes[0].forward_overlap,
+            },
+        }
     )
     path.write_text(text, encoding="utf-8")
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
+from acquire.simulate.gnss.observations import correlated
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.world import World
 from drivers.mavlink.decode import encode
@@ -67,18 +67,15 @@ def make_filter(world: World) -> Filter:
     random, step = world.random("telemetry"), 0.05
     count = int(world.motion.duration_s / step) + 2
     sigma = np.radians(world.configuration.rig.attitude_sigma_deg)
-    positions = _wander(count, step / 30.0, random) * _POSITION_SIGMA_M
+    positions, angles = (random.standard_normal((count, 3)) for _ in range(2))
     # How long an error of the filter stays; exposures are farther apart.
     correlation_s = 0.8
-    return Filter(world, positions, _wander(count, step / correlation_s, random) * sigma, step)
-
-
-def _wander(count: int, share: float, random: np.random.Generator) -> Floats:
-    """Give a first-order Gauss-Markov sequence of unit variance, shape (count, 3)."""
-    keep = np.exp(-share)
-    kicks = random.standard_normal((count, 3)) * np.sqrt(1 - keep**2)
-    kicks[0] /= np.sqrt(1 - keep**2)
-    return np.asarray(lfilter([1.0], [1.0, -keep], kicks, axis=0))
+    return Filter(
+        world,
+        correlated(positions.T, step / 30.0).T * _POSITION_SIGMA_M,
+        correlated(angles.T, step / correlation_s).T * sigma,
+        step,
+    )
 
 
 def messages(world: World) -> list[SentMessage]:

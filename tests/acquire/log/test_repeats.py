@@ -65,7 +65,7 @@ def numbers_in(path: Path) -> list[int]:
 
 
 def of_flight(paths: list[Path]) -> int:
-    read = FlightLog(tuple(paths))._read()
+    read = FlightLog(tuple(paths))._messages
     return sum(len(messages.payloads) for messages in read)
 
 

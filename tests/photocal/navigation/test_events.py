@@ -153,7 +153,7 @@ def test_events_of_autopilot_logs(monkeypatch: pytest.MonkeyPatch) -> None:
     # Logs from a memory card have no time of receipt: it repeats the device's.
     rows = [Row("CAM", 1.6e9 + k, k, latitude_deg=-22.0, altitude_msl_m=50.0 + k) for k in (3, 1, 2)]
     rows += [Row("TRIG", 1.6e9 + k - 0.1, k) for k in range(4)]
-    monkeypatch.setattr(FlightLog, "_read", lambda _: exposure_messages(rows, 0))
+    monkeypatch.setattr(FlightLog, "_messages", exposure_messages(rows, 0))
     none, empty = np.empty(0, np.int64), np.empty(0)
     vehicle = VehicleTrack(path_of(GpsTime(none), (empty,) * 3), HostTime(none), None, 0.007)
     best, others = events_of(Sources(), "rising", {}, vehicle)
@@ -170,12 +170,12 @@ def test_events_of_autopilot_logs(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_exposures_without_a_device_time_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [Row("CAMERA_FEEDBACK", 1.6e9 + k, k) for k in range(3)]
     twice = exposure_messages(rows, 50_000_000) * 2
-    monkeypatch.setattr(FlightLog, "_read", lambda _: twice)
+    monkeypatch.setattr(FlightLog, "_messages", twice)
     best, _ = events_of(Sources(), "rising", {}, None)
     assert best is not None
     # The same exposures came over two links.
     assert len(best) == 3
-    monkeypatch.setattr(FlightLog, "_read", lambda _: exposure_messages(rows, 0))
+    monkeypatch.setattr(FlightLog, "_messages", exposure_messages(rows, 0))
     found = logged_exposures(FlightLog())[0][0]
     assert len(found) == 0
     assert found.remarks == ["CAMERA_FEEDBACK: 3 exposures without a device time left out"]

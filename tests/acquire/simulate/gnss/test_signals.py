@@ -93,20 +93,22 @@ def test_noise_grows_as_the_signal_weakens() -> None:
     model = ReceiverModel()
     rng = np.random.default_rng(2)
     low, high = (thermal(L1CA, np.full(4000, np.radians(e)), model, rng) for e in (10.0, 80.0))
-    assert high.cn0_dbhz.mean() == pytest.approx(50, abs=0.5)
-    assert 38 < low.cn0_dbhz.mean() < 42
+    assert high["cn0_dbhz"].mean() == pytest.approx(50, abs=0.5)
+    assert 38 < low["cn0_dbhz"].mean() < 42
     # A phase loop of 10 Hz at 50 dBHz: sqrt(10 / 1e5) rad.
-    assert high.phase_cycles.mean() == pytest.approx(0.01 / (2 * np.pi), rel=0.05)
-    assert low.code_m.mean() / high.code_m.mean() == pytest.approx(
-        10 ** ((50 - low.cn0_dbhz.mean()) / 20), rel=0.1
+    assert high["phase_sigma_cycles"].mean() == pytest.approx(0.01 / (2 * np.pi), rel=0.05)
+    assert low["code_sigma_m"].mean() / high["code_sigma_m"].mean() == pytest.approx(
+        10 ** ((50 - low["cn0_dbhz"].mean()) / 20), rel=0.1
     )
     second = thermal(L2CL, np.full(4000, np.radians(80.0)), model, rng)
-    assert second.cn0_dbhz.mean() == pytest.approx(46, abs=0.5)
-    assert thermal(E5BQ, np.full(10, 1.4), model, rng).code_m.max() < 0.2 * high.code_m.min()
+    assert second["cn0_dbhz"].mean() == pytest.approx(46, abs=0.5)
+    assert (
+        thermal(E5BQ, np.full(10, 1.4), model, rng)["code_sigma_m"].max() < 0.2 * high["code_sigma_m"].min()
+    )
 
 
 def test_correlated_noise_forgets_at_its_rate() -> None:
-    values = correlated(200_000, 0.1, 2, np.random.default_rng(3))
+    values = correlated(np.random.default_rng(3).standard_normal((2, 200_000)), 0.1)
     assert values.std(axis=1) == pytest.approx([1, 1], abs=0.03)
     for lag in (1, 10, 20):
         found = [np.mean(row[lag:] * row[:-lag]) for row in values]
