@@ -207,11 +207,11 @@ def test_a_mark_that_moves_lets_no_picture_be_searched_or_matched_again(
     again, _, after = marked()
     assert again == matched
     assert marked()[1] == searched
-    rays = [
+    rays, rays_after = (
         block.observations.values[block.points.of_role("tie")[block.observations.point]]
         for block in (before, after)
-    ]
-    assert np.array_equal(*rays)
+    )
+    assert np.array_equal(rays, rays_after)
     place = after.points.names.index("P5")
     of_mark = [
         np.sort(block.observations.values[block.observations.point == place, 0]) for block in (before, after)
