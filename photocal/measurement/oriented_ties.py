@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from photocal.base.arrays import Flags, Floats, Integers
-from photocal.base.errors import IllPosedError, PhotocalError
+from photocal.base.errors import IllPosedError, NotConvergedError, PhotocalError
 from photocal.base.policy import policy
 from photocal.base.progress import Progress
 from photocal.base.workers import Workers
@@ -195,7 +195,7 @@ def orient_ties(
         final = _adjusted(start, final.values[seen], matched)
         left_out += final.left_out
         matched = of_images(matched, np.isin(start.images.names, final.start.images.names))
-    except PhotocalError as refusal:
+    except (IllPosedError, NotConvergedError) as refusal:
         matched = final.tracks
         findings.append(Finding("matches-not-adjusted", "doubtful", refusal.what))
     verified = _verified(final, matched)
