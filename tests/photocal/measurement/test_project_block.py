@@ -19,6 +19,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block
 from photocal.block.network import assemble
+from photocal.measurement import oriented_ties
 from photocal.measurement.markers import dictionary
 from photocal.measurement.options import MeasureOptions
 from photocal.measurement.picture_block import measure
@@ -217,6 +218,27 @@ def test_a_mark_that_moves_lets_no_picture_be_searched_or_matched_again(
         np.sort(block.observations.values[block.observations.point == place, 0]) for block in (before, after)
     ]
     assert np.abs(of_mark[1] - of_mark[0]).max() == pytest.approx(0.6)
+
+
+@pytest.mark.slow
+def test_what_large_pictures_show_is_matched_halved_first_and_ends_at_the_same_places(
+    site: tuple[Path, Site, dict[str, tuple[float, float]]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pictures of 480 pixels, taken for large ones; the rendered views tell where each ray should lie."""
+    folder, own, _ = site
+    options = MeasureOptions(workers=1, cache=tmp_path / "cache")
+    monkeypatch.setattr(oriented_ties, "USUAL_PX", 300.0)
+    monkeypatch.setattr(oriented_ties, "LARGE_PX", 400.0)
+    measured = measure(read_project(folder / "project.toml"), options)
+    block = measured.block
+    assembly = assemble(block)
+    solution = adjust(assembly.network)
+    assert solution.variance_factor < 1.25
+    assert np.sqrt(np.mean(solution.residuals**2)) < 0.02 * 0.01
+    centres = assembly.frame.to_given(solution.exposures[:, 3:])
+    order = [int(name[1]) - 1 for name in block.images.names]
+    sigma = np.sqrt(np.diagonal(solution.exposure_covariance[:, 3:, 3:], axis1=1, axis2=2))
+    assert (np.abs(centres - own.poses[order, 3:]) < 4 * sigma).all()
 
 
 @pytest.mark.slow
