@@ -10,7 +10,7 @@ from photocal.base.errors import IllPosedError, NotConvergedError, PhotocalError
 from photocal.base.policy import policy
 from photocal.base.progress import Progress
 from photocal.base.workers import Workers
-from photocal.block.model import Block, Images
+from photocal.block.model import NO_POINTS, Block, Images
 from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
@@ -79,6 +79,9 @@ def first_orientation(marked: Block, tracks: Tracks) -> Oriented:
     """Orient a block by tracks of features, then bring in what of its control fits."""
     names, sigma = marked.images.names, marked.images.sigma
     start = replace(marked, observations=marked.observations.rows(np.zeros(0, dtype=np.int64)))
+    if len(marked.observations.image) and np.isfinite(marked.images.values[:, 3:]).all(axis=1).any():
+        # A corrected coordinate would move the middle of the block, and each patch by a hair.
+        start = replace(start, points=NO_POINTS)
     start, tracks, left_out = _connected(start, tracks)
     sizes = _sizes(start)
     placed, poses, reasons, findings = oriented(start, _strong(tracks, sizes, FIRST_IN_A_CELL))
@@ -96,6 +99,8 @@ def first_orientation(marked: Block, tracks: Tracks) -> Oriented:
         findings += of_control
         if len(fits.observations.image):
             first, fits, findings = _with_control(first, fits, poses, findings)
+        elif len(first.start.points.names) < len(fits.points.names):
+            first = adjust_ties(fits, first.values, first.tracks).after(first)
     first = _by_positions(first, stated)
     if first.start.datum != "free":
         as_stated, shifted = _as_stated(first.start, stated), _controlled(first.start)

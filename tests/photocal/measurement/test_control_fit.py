@@ -79,6 +79,17 @@ def test_right_control_places_the_block(positioned: bool) -> None:
     assert stations(found) < 0.2
 
 
+def test_views_that_patches_are_cut_in_are_those_of_rays_and_positions_alone() -> None:
+    """Other marks and other coordinates of control leave them as they are, to the last bit."""
+    rng = np.random.default_rng(4)
+    positions = STATIONS + rng.normal(0, 1.0, STATIONS.shape)
+    one = oriented(SURVEY, positions)
+    other = oriented(SURVEY + np.eye(9, 3) * 50.0, positions, rng.normal(0, 0.5, (72, 2)))
+    assert np.array_equal(one.by_rays.values, other.by_rays.values)
+    assert np.array_equal(one.by_rays.tracks.pixels, other.by_rays.tracks.pixels)
+    assert not np.array_equal(one.adjusted.values, other.adjusted.values)
+
+
 @pytest.mark.parametrize("positioned", [False, True])
 @pytest.mark.parametrize("wrong", ["5 m", "up", "swapped", "half a metre"])
 def test_a_third_of_the_control_may_be_gross(wrong: str, positioned: bool) -> None:
