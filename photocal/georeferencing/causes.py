@@ -33,9 +33,10 @@ from photocal.geometry.rotation import matrix_from_angles
 from photocal.georeferencing.methods import as_mounted, without_georeference, without_weak_images
 from photocal.hypotheses.causes import coarsely_placed, of_rays, points_of
 from photocal.hypotheses.control import slips
+from photocal.hypotheses.faults import FAULTS
 from photocal.hypotheses.findings import Slips, no_slips
 from photocal.hypotheses.search import SystematicErrors, straightened, systematic_errors
-from photocal.hypotheses.table import FAULTS, Fault
+from photocal.hypotheses.table import Fault
 
 # What is asked of a calibration flight: 1 m, 1 degree, 0.1 s, 1 m; the camera: 1 % of c, 0.1 s of readout.
 _SCALE_COMMON = np.array([1.0] * 3 + [np.radians(1.0)] * 3 + [0.1] + [1.0] * 3 + [0.0])

@@ -20,9 +20,10 @@ from photocal.base.policy import policy
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.hypotheses.bent_rays import bent_rays
 from photocal.hypotheses.control import Contradiction, control_points
+from photocal.hypotheses.faults import FAULTS
 from photocal.hypotheses.fields import LEFT, RayField, ray_fields
 from photocal.hypotheses.system import Added, System, chi_squared_of, loosened, system
-from photocal.hypotheses.table import FAULTS, Fault
+from photocal.hypotheses.table import Fault
 
 # So many positions and control points, the most contradicted ones, are looked at beside all else.
 _MOST_POSITIONS, _MOST_CONTROL = 8, 24

@@ -18,10 +18,10 @@ from photocal.findings.harm import Asked, harmful_from, weighed
 from photocal.geometry.camera import Camera
 from photocal.hypotheses.adequacy import Memory
 from photocal.hypotheses.causes import Cause, points_of
+from photocal.hypotheses.faults import fault
 from photocal.hypotheses.judged import Estimate, Hypothesis
 from photocal.hypotheses.search import SystematicErrors, changed_points
 from photocal.hypotheses.selection import SystematicError
-from photocal.hypotheses.table import fault
 
 # A fall of v'Pv is worth less for each unknown more: by the logarithm of the usual number of observations.
 _UNKNOWN = 10.0

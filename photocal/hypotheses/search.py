@@ -42,10 +42,11 @@ from photocal.hypotheses.control import (
     control_points,
     predicted,
 )
+from photocal.hypotheses.faults import FAULTS
 from photocal.hypotheses.gross import ASIDE, without_gross_rays
 from photocal.hypotheses.judged import Estimate, Hypothesis, Stated, estimate, estimates_of, stated_of
 from photocal.hypotheses.selection import Selection, SystematicError, left_to_seek
-from photocal.hypotheses.table import FAULTS, Fault
+from photocal.hypotheses.table import Fault
 
 # Adjustments that confirm what was chosen.
 _CONFIRMED = 2

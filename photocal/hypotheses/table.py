@@ -7,7 +7,6 @@ its texts: `term.CODE`, `finding.CODE`, perhaps `remedy.CODE`, in both catalogue
 from dataclasses import dataclass
 from typing import Literal
 
-from photocal.base.extensions import HYPOTHESES, brought
 from photocal.findings.texts import Words
 
 Where = Literal["positions", "camera", "attitudes", "control", "time"]
@@ -76,7 +75,7 @@ class AddedFault(Words):
 
 
 # In the order in which they are tested.
-_OWN: tuple[Fault, ...] = (
+OWN: tuple[Fault, ...] = (
     Fault(
         "camera-change",
         ("camera",),
@@ -117,17 +116,3 @@ _OWN: tuple[Fault, ...] = (
     Fault("event-time-base", ("time",)),
     Fault("height-kind", ("positions",)),
 )
-
-
-FAULTS = (*_OWN, *(added.fault for added in brought(HYPOTHESES, AddedFault).values()))
-
-
-def searched(code: str, table: tuple[Fault, ...] = FAULTS) -> bool:
-    """Whether the search judges a fault itself, rather than another stage."""
-    entry = fault(code, table)
-    return entry is not None and (bool(entry.frees) or entry.each != "block" or bool(entry.kind_of))
-
-
-def fault(code: str, table: tuple[Fault, ...] = FAULTS) -> Fault | None:
-    """Give the entry of a code; None for a finding that is no fault of the table."""
-    return next((entry for entry in table if entry.code == code), None)

@@ -23,7 +23,8 @@ from photocal.findings.verdict import (
     verdict_text,
 )
 from photocal.geometry.camera import PARAMETERS
-from photocal.hypotheses.table import FAULTS, Fault, fault, searched
+from photocal.hypotheses.faults import FAULTS, fault, searched
+from photocal.hypotheses.table import Fault
 from photocal.measurement.maker_camera import tag_finding
 from photocal.navigation.ppk_figures import FIGURES as PPK
 from photocal.navigation.ppk_figures import PpkFigures

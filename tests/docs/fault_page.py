@@ -9,7 +9,8 @@ from scipy import stats
 
 from photocal.base.policy import policy
 from photocal.findings.texts import catalogue
-from photocal.hypotheses.table import FAULTS, SYMPTOMS, Fault
+from photocal.hypotheses.faults import FAULTS
+from photocal.hypotheses.table import SYMPTOMS, Fault
 
 PAGE = Path(__file__).parents[2] / "docs" / "faults.md"
 HEAD = """# Faults that are tested

@@ -22,7 +22,7 @@ import pytest
 from acquire.simulate.world.configuration import FLIGHTS
 from photocal.block.mounting import BODY_AXES
 from photocal.findings.texts import catalogue
-from photocal.hypotheses.table import FAULTS
+from photocal.hypotheses.faults import FAULTS
 from photocal.project import RigSettings
 from tests.conftest import needs_engine
 from tests.installed import surroundings

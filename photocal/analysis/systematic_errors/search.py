@@ -21,9 +21,9 @@ from photocal.base.policy import policy
 from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 from photocal.hypotheses.causes import coarsely_placed, of_rays
 from photocal.hypotheses.control import control_points
+from photocal.hypotheses.faults import FAULTS
 from photocal.hypotheses.search import SystematicErrors, systematic_errors
 from photocal.hypotheses.selection import SystematicError
-from photocal.hypotheses.table import FAULTS
 
 
 @dataclass(frozen=True)

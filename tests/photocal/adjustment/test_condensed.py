@@ -14,7 +14,8 @@ from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.hypotheses.causes import Candidates, Cause, candidates, freed
-from photocal.hypotheses.table import FAULTS, Fault
+from photocal.hypotheses.faults import FAULTS
+from photocal.hypotheses.table import Fault
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 ESTIMATED = Plan(

@@ -24,7 +24,7 @@ from photocal.findings.texts import (
     findings_of,
     identity,
 )
-from photocal.hypotheses.table import FAULTS
+from photocal.hypotheses.faults import FAULTS
 
 ENGLISH, PORTUGUESE = catalogue("en"), catalogue("pt-BR")
 ROOM = Path(photocal.__file__).parent

@@ -18,7 +18,7 @@ from photocal.base.errors import InputMalformedError
 from photocal.findings.finding import Finding, Size
 from photocal.findings.listed import Findings
 from photocal.findings.texts import catalogue, finding_text
-from photocal.hypotheses.table import FAULTS
+from photocal.hypotheses.faults import FAULTS
 
 name = st.one_of(
     st.sampled_from(("IMG 001.jpg", "a,b", 'say "x"', "two\nlines", "-x", "é ü 日本", "007", "NaN", "")),

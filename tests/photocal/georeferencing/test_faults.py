@@ -22,8 +22,8 @@ from photocal.georeferencing.comparison import check_block
 from photocal.georeferencing.findings import block_findings
 from photocal.georeferencing.methods import with_attitude_angles, with_roles
 from photocal.hypotheses.control import contradicting, slips
+from photocal.hypotheses.faults import FAULTS
 from photocal.hypotheses.search import SystematicErrors
-from photocal.hypotheses.table import FAULTS
 from tests.photocal.findings.english import english
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 

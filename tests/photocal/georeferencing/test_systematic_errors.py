@@ -16,10 +16,11 @@ from photocal.findings.texts import catalogue, finding_text
 from photocal.georeferencing.causes import Separation, causes_of
 from photocal.georeferencing.findings import separation_findings
 from photocal.georeferencing.methods import with_attitude_angles
+from photocal.hypotheses.faults import FAULTS
 from photocal.hypotheses.findings import fall_of, named
 from photocal.hypotheses.judged import Estimate, Hypothesis, Stated, moved_surely
 from photocal.hypotheses.search import SystematicErrors
-from photocal.hypotheses.table import FAULTS, Fault
+from photocal.hypotheses.table import Fault
 from photocal.run.summary import causes_first
 from tests.photocal.findings.english import english
 from tests.photocal.georeferencing.flights import Errors, Plan, fly

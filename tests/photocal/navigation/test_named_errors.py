@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from photocal.hypotheses.table import fault
+from photocal.hypotheses.faults import fault
 from photocal.navigation.position_comparison import AXES, LEVER, TIME
 
 

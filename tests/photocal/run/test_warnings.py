@@ -11,7 +11,7 @@ import pytest
 from photocal.base.errors import InputMalformedError
 from photocal.findings.finding import Finding, Severity
 from photocal.findings.texts import catalogue, finding_text
-from photocal.hypotheses.table import FAULTS
+from photocal.hypotheses.faults import FAULTS
 from photocal.run.summary import gather, kind
 
 PPK = {"fixed_percent": 100.0, "findings": []}

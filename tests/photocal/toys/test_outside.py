@@ -104,7 +104,7 @@ def test_what_cannot_be_loaded_is_named(tmp_path: Path) -> None:
     (tmp_path / "block").mkdir()
     told = run(broken, "run", tmp_path / "project.toml")
     assert told.returncode == photocal.ConfigurationError.exit_code
-    assert "the stage toy is no photocal.run.stage.AddedStage" in told.stderr
+    assert "the stage toy is not a photocal.run.stage.AddedStage" in told.stderr
 
 
 def test_without_the_package_its_names_are_unknown() -> None:
