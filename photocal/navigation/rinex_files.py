@@ -158,7 +158,9 @@ def rtcm3_time(frames: list[Frame], path: Path, today: GpsTime, near: GpsTime | 
 
 
 def _week_told(frames: list[Frame], today: int) -> int | None:
-    for frame in frames:
+    # Head, the message up to its week, and the check sum.
+    shortest = 3 + 4 + 3
+    for frame in (one for one in frames if len(one.data) >= shortest):
         # DF289: week of Galileo, 12 bits, after number and satellite (6 bits); DF076: of GPS, 10 bits.
         if frame.kind in (1045, 1046):
             return _middle_of(number_in(frame.data, 18, 12) + _GALILEO_START)

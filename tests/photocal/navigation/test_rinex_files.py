@@ -255,6 +255,15 @@ def test_the_week_of_galileo_is_whole() -> None:
     assert abs(found.ns[0] - day("2026-05-18T00:00:00").ns[0]) < 7 * 86_400e9
 
 
+@pytest.mark.parametrize("kind", [1019, 1045, 1046])
+@pytest.mark.parametrize("length", [2, 3])
+def test_an_ephemeris_that_ends_before_its_week_tells_none(kind: int, length: int) -> None:
+    frames = list(frames_of(encode((kind << 12).to_bytes(3, "big")[:length]), Wire.RTCM3))
+    assert [frame.kind for frame in frames] == [kind]
+    with pytest.raises(IllPosedError, match="its week is unknown"):
+        rtcm3_time(frames, Path("x"), TODAY, None)
+
+
 def chain(sync: bytes, body: bytes, n: int = 4) -> bytes:
     """Frames that follow each other."""
     return (sync + body) * n
