@@ -231,7 +231,8 @@ def _from_kml(text: str, where: str) -> list[tuple[float, float]]:
         root = fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as refusal:
         raise wrong(f"is not KML ({refusal})") from refusal
-    polygons = root.findall(".//{*}Polygon")
+    # The polygon may be all that there is, without `<kml>` about it.
+    polygons = [element for element in root.iter() if element.tag.rpartition("}")[2] == "Polygon"]
     if len(polygons) != 1:
         raise wrong(f"holds {len(polygons)} polygons, one is needed", "keep the polygon to be flown")
     rings = polygons[0].findall(".//{*}coordinates")

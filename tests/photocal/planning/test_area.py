@@ -46,6 +46,9 @@ def texts() -> dict[str, str]:
         "c.json": json.dumps(POLYGON),
         "d.geojson": json.dumps({"type": "MultiPolygon", "coordinates": [[RING]]}),
         "e.kml": KML.format(" ".join(f"{lon},{lat},0" for lon, lat in RING)),
+        "f.kml": KML[KML.index("<Polygon") : KML.index("</Placemark")].format(
+            " ".join(f"{lon},{lat}" for lon, lat in RING)
+        ),
         "f.csv": "lat_deg,lon_deg\n" + "".join(f"{lat},{lon}\n" for lon, lat in FIELD),
     }
 
