@@ -6,7 +6,7 @@ import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from ipaddress import ip_address
@@ -31,8 +31,11 @@ def run_tasks(
     tasks: Iterable[Task],
     workers: "Workers",
     done: Callable[[float], None] = lambda _: None,
+    at_hand: Callable[[Task], bool] = lambda _: False,
 ) -> Iterator[Result]:
     """Do a piece of work for each task, and tell `done` when its result was taken.
+
+    at_hand: whether the result of a task is kept: this process takes it, and starts others only for the rest.
 
     raises ProgramMissingError: when a worker process died, for lack of memory as a rule.
     raises DeviceError: when a cluster does not answer.
@@ -43,7 +46,7 @@ def run_tasks(
     elif workers <= 1:
         results = map(function, tasks)
     else:
-        results = _on_processes(function, tasks, workers)
+        results = _on_processes(function, tasks, workers, at_hand)
     for result in results:
         yield result
         done(1)
@@ -81,13 +84,23 @@ def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _on_processes(
-    function: Callable[[Task], Result], tasks: Iterable[Task], processes: int
+    function: Callable[[Task], Result],
+    tasks: Iterable[Task],
+    processes: int,
+    at_hand: Callable[[Task], bool],
 ) -> Iterator[Result]:
     waiting: deque[Future[Result]] = deque()
-    with _one_thread_each(), _pool(processes) as pool:
+    pool: ProcessPoolExecutor | None = None
+    with ExitStack() as opened:
         try:
             for task in tasks:
-                waiting.append(pool.submit(function, task))
+                if at_hand(task):
+                    waiting.append(_ended(function(task)))
+                else:
+                    if pool is None:
+                        opened.enter_context(_one_thread_each())
+                        pool = opened.enter_context(_pool(processes))
+                    waiting.append(pool.submit(function, task))
                 if len(waiting) > 2 * processes:
                     yield waiting.popleft().result()
             while waiting:
@@ -100,6 +113,12 @@ def _on_processes(
         finally:
             for future in waiting:
                 future.cancel()
+
+
+def _ended(result: Result) -> Future[Result]:
+    future: Future[Result] = Future()
+    future.set_result(result)
+    return future
 
 
 def _prepare() -> None:

@@ -206,7 +206,7 @@ def orient_quickly(
         places, origin = local_places(facts)
         start = start_block(facts, places, "debrief")
         start = replace(start, cameras=tuple(_known(camera, last) for camera in start.cameras))
-        first = first_orientation(start, tracks)
+        first = first_orientation(start, tracks, plan.cache)
         adjusted = first.adjusted
         # The adjustment has a frame of its own, upright as that of the places.
         state = adjusted.solution

@@ -34,7 +34,7 @@ def array_key(*arrays: NDArray[Any]) -> str:
 
 def cached(folder: Path, key: str, names: tuple[str, ...], make: Callable[[], Arrays]) -> Arrays:
     """Give arrays from the cache, or make and keep them."""
-    path = folder / key[:2] / f"{key}.npz"
+    path = _entry(folder, key)
     try:
         # Opened here, so that a damaged file is closed again.
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as held:
@@ -44,6 +44,15 @@ def cached(folder: Path, key: str, names: tuple[str, ...], make: Callable[[], Ar
     with output_file(path) as aside, aside.open("wb") as target:
         np.savez(target, **made)  # type: ignore[arg-type]
     return made
+
+
+def kept(folder: Path, key: str) -> bool:
+    """Whether the cache has arrays of this key; what is damaged is made again."""
+    return _entry(folder, key).is_file()
+
+
+def _entry(folder: Path, key: str) -> Path:
+    return folder / key[:2] / f"{key}.npz"
 
 
 def sweep(folder: Path, most_bytes: int, unused_s: float, now_s: float) -> int:

@@ -17,7 +17,7 @@ from photocal.exchange.parts import Mark
 from photocal.geometry.camera import Camera, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import distorted, undistorted
 from photocal.measurement import target_centre
-from photocal.measurement.features import Arrays, cached, combined_key
+from photocal.measurement.features import Arrays, cached, combined_key, kept
 from photocal.measurement.image_file import Grey, as_eight_bit, read_grey
 from photocal.measurement.patch_matching import ImageSource
 from photocal.measurement.target_centre import (
@@ -242,8 +242,11 @@ def find_coded_targets(
     """
     dictionary(dictionary_name)
     marks, strangers = [], []
-    tasks = [(source, dictionary_name) for source in sources]
-    found = run_tasks(_find, tasks, processes, done)
+    tasks = [
+        (combined_key(VERSION, "coded targets", source.key, dictionary_name), source, dictionary_name)
+        for source in sources
+    ]
+    found = run_tasks(_find, tasks, processes, done, lambda task: kept(task[1].cache, task[0]))
     for source, lens, targets in zip(sources, lenses, found, strict=True):
         places = targets[:, 1:3] + moved_by_bend(lens, targets[:, 5:].reshape(-1, 4, 2))
         for code, (x, y), (sx, sy) in zip(targets[:, 0], places.tolist(), targets[:, 3:5], strict=True):
@@ -256,8 +259,8 @@ def find_coded_targets(
     return tuple(marks), tuple(strangers)
 
 
-def _find(task: tuple[ImageSource, str]) -> Floats:
-    source, dictionary_name = task
+def _find(task: tuple[str, ImageSource, str]) -> Floats:
+    key, source, dictionary_name = task
 
     def make() -> Arrays:
         """Find the coded targets of one picture."""
@@ -267,7 +270,6 @@ def _find(task: tuple[ImageSource, str]) -> Floats:
         ]
         return {"targets": np.array(rows, dtype=float).reshape(-1, 13)}
 
-    key = combined_key(VERSION, "coded targets", source.key, dictionary_name)
     return np.asarray(cached(source.cache, key, ("targets",), make)["targets"], dtype=np.float64)
 
 

@@ -28,6 +28,7 @@ from photocal.measurement.features import (
     cached,
     combined_key,
     detect,
+    kept,
 )
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import as_eight_bit, each_picture, left_out_entry, read_grey
@@ -209,7 +210,9 @@ def detect_all(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Detect the features of all images into the cache; give their keys, and why an image cannot be used."""
     images = ((path, combined_key(FEATURES, digest(path), plan.features), plan) for path in paths)
-    detected = list(run_tasks(_detect_one, images, plan.processes, done))
+    detected = list(
+        run_tasks(_detect_one, images, plan.processes, done, lambda image: kept(plan.cache, image[1]))
+    )
     return tuple(key for key, _ in detected), tuple(reason for _, reason in detected)
 
 
@@ -226,8 +229,8 @@ def match_all(
     keys: Sequence[str], pairs: Integers, plan: MatchingPlan, done: Callable[[float], None]
 ) -> tuple[Tracks, Integers]:
     """Match pairs of images and join the matches to tracks."""
-    tasks = ((keys[a], keys[b], plan) for a, b in pairs)
-    matches = list(run_tasks(_match_one, tasks, plan.processes, done))
+    tasks = ((combined_key(MATCHES, "match", keys[a], keys[b]), keys[a], keys[b], plan) for a, b in pairs)
+    matches = list(run_tasks(_match_one, tasks, plan.processes, done, lambda task: kept(plan.cache, task[0])))
     # Descriptors stay on the disk: only places and scales of all images are held.
     features = [_features(plan, key) for key in keys]
     return join_tracks(features, pairs, matches), np.array([len(m) for m in matches], dtype=np.int64)
@@ -262,10 +265,8 @@ def features_of(path: Path, plan: MatchingPlan) -> Features | None:
     return None if reason else _features(plan, key, whole=True)
 
 
-def _match_one(task: tuple[str, str, MatchingPlan]) -> Integers:
-    first, second, plan = task
-    key = combined_key(MATCHES, "match", first, second)
-
+def _match_one(task: tuple[str, str, str, MatchingPlan]) -> Integers:
+    key, first, second, plan = task
     whole = partial(_features, plan, whole=True)
     made = cached(plan.cache, key, ("pairs",), lambda: {"pairs": match(whole(first), whole(second))})
     return np.asarray(made["pairs"], dtype=np.int64)

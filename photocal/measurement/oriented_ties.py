@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -75,8 +76,11 @@ class UnorientedError(IllPosedError):
         self.block = block
 
 
-def first_orientation(marked: Block, tracks: Tracks) -> Oriented:
-    """Orient a block by tracks of features, then bring in what of its control fits."""
+def first_orientation(marked: Block, tracks: Tracks, cache: Path | None = None) -> Oriented:
+    """Orient a block by tracks of features, then bring in what of its control fits.
+
+    cache: folder where what depends on the tracks alone is kept.
+    """
     names, sigma = marked.images.names, marked.images.sigma
     start = replace(marked, observations=marked.observations.rows(np.zeros(0, dtype=np.int64)))
     if len(marked.observations.image) and np.isfinite(marked.images.values[:, 3:]).all(axis=1).any():
@@ -84,7 +88,7 @@ def first_orientation(marked: Block, tracks: Tracks) -> Oriented:
         start = replace(start, points=NO_POINTS)
     start, tracks, left_out = _connected(start, tracks)
     sizes = _sizes(start)
-    placed, poses, reasons, findings = oriented(start, _strong(tracks, sizes, FIRST_IN_A_CELL))
+    placed, poses, reasons, findings = oriented(start, _strong(tracks, sizes, FIRST_IN_A_CELL), cache)
     named = zip(start.images.names, reasons, strict=True)
     left_out += [left_out_entry(name, why, "not-joined") for name, why in named if why]
     reached = np.array([not reason for reason in reasons])
@@ -174,7 +178,7 @@ def orient_ties(
     names = start.images.names
     try:
         with progress("orienting the pictures", None):
-            first = first_orientation(start, tracks)
+            first = first_orientation(start, tracks, sources[0].cache)
     except PhotocalError as refusal:
         places = np.full((tracks.count, 3), np.nan)
         block = with_ties(start, tracks, places, np.ones(len(tracks.track)))

@@ -14,7 +14,7 @@ import numpy as np
 from photocal.base.arrays import Columns, Flags, Floats, Integers
 from photocal.base.workers import Workers, run_tasks
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.measurement.features import Arrays, Floats32, array_key, cached, combined_key
+from photocal.measurement.features import Arrays, Floats32, array_key, cached, combined_key, kept
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.tracks import Tracks
 
@@ -37,6 +37,10 @@ class ImageSource:
     key: str
     cache: Path
     level: int = 0
+
+    def key_of(self, kind: str, *given: Floats | Floats32) -> str:
+        """Key of what is measured in the image by given numbers."""
+        return combined_key(VERSION, kind, self.key, self.level, array_key(*given))
 
 
 @dataclass(frozen=True)
@@ -100,20 +104,25 @@ def refine(
     inside = _inside(surface.middle, views.sizes()[surface.image])
     patches = np.zeros((tracks.count, 2 * HALF + 1, 2 * HALF + 1), dtype=np.float32)
     images = range(len(sources))
-    tasks = [(sources[k], surface.middle[(surface.image == k) & inside]) for k in images]
-    for k, cut in enumerate(run_tasks(_cut_patches, tasks, processes, done)):
+    middles = [surface.middle[(surface.image == k) & inside] for k in images]
+    tasks = [
+        (source.key_of("patches", middle), source, middle)
+        for source, middle in zip(sources, middles, strict=True)
+    ]
+    for k, cut in enumerate(run_tasks(_cut_patches, tasks, processes, done, _at_hand)):
         patches[(surface.image == k) & inside] = cut
 
-    def jobs() -> Iterator[tuple[ImageSource, _Rays, Floats32]]:
+    def jobs() -> Iterator[tuple[str, ImageSource, tuple[_Rays, Floats32]]]:
         """Give the work of each image: its own rays and those of its partners."""
         # Image by image, while others are matched: all rays at once would need more memory than pictures do.
         for k, source in enumerate(sources):
             near = np.zeros(tracks.count, dtype=np.bool_)
             near[tracks.track[np.isin(tracks.image, [*partners[k], k])]] = True
             rays = _expected(views, k, np.flatnonzero(near & inside & (surface.image != k)), surface)
-            yield source, rays, patches[rays.track]
+            cut = patches[rays.track]
+            yield source.key_of("matched", rays.place, rays.affinity, cut), source, (rays, cut)
 
-    refined = list(run_tasks(_match_image, jobs(), processes, done))
+    refined = list(run_tasks(_match_image, jobs(), processes, done, _at_hand))
     inner = np.flatnonzero(inside)
     return _joined(refined, inner, surface.image[inner], surface.middle[inner], tracks.conflicts)
 
@@ -189,8 +198,13 @@ def _smoothed(source: ImageSource) -> Floats32:
     return np.asarray(cv2.sepFilter2D(reduced, cv2.CV_32F, weights, weights), dtype=np.float32)
 
 
-def _cut_patches(task: tuple[ImageSource, Floats]) -> Floats32:
-    source, middle = task
+def _at_hand(task: tuple[str, ImageSource, object]) -> bool:
+    key, source, _ = task
+    return kept(source.cache, key)
+
+
+def _cut_patches(task: tuple[str, ImageSource, Floats]) -> Floats32:
+    key, source, middle = task
     side = np.arange(-HALF, HALF + 1)
     if not len(middle):
         return np.zeros((0, len(side), len(side)), dtype=np.float32)
@@ -201,19 +215,15 @@ def _cut_patches(task: tuple[ImageSource, Floats]) -> Floats32:
         image = _smoothed(source)
         return {"patches": image[row[:, None, None] + side[None, :, None], column[:, None, None] + side]}
 
-    key = combined_key(VERSION, "patches", source.key, source.level, array_key(middle))
     return np.asarray(cached(source.cache, key, ("patches",), make)["patches"], dtype=np.float32)
 
 
-def _match_image(task: tuple[ImageSource, _Rays, Floats32]) -> Tracks:
+def _match_image(task: tuple[str, ImageSource, tuple[_Rays, Floats32]]) -> Tracks:
     """Rays that were matched, with their sigmas as scale."""
-    source, rays, patches = task
+    key, source, (rays, patches) = task
     if not len(rays.track):
         return Tracks(rays.track, rays.image, rays.place, np.zeros(0))
 
-    key = combined_key(
-        VERSION, "matched", source.key, source.level, array_key(rays.place, rays.affinity, patches)
-    )
     names = ("index", "pixels", "sigma")
     held = cached(source.cache, key, names, lambda: _matched(_smoothed(source), rays, patches))
     index = held["index"]
