@@ -1,10 +1,12 @@
 """What a network leaves undetermined, in words."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import qr
+from scipy.linalg import eigh, qr
 
 from photocal.adjustment.datum import similarity_moves
 from photocal.adjustment.envelope import dense
@@ -35,6 +37,50 @@ LOST_POINT, LOST_CAMERA = 0.5, 0.1
 DATUM_NAMES = (*(f"position in {axis}" for axis in XYZ), *(f"rotation about {axis}" for axis in XYZ), "scale")
 
 
+@dataclass(frozen=True)
+class _Resistance:
+    """What of the unknowns the observations resist hardly or not at all, at a state."""
+
+    problem: Problem
+    state: State
+
+    @cached_property
+    def normal(self) -> Normal:
+        """The normal equations."""
+        return normal_equations(self.problem, self.state)
+
+    @cached_property
+    def scaled(self) -> tuple[Floats, Floats]:
+        """Scale of the unknowns, and the reduced matrix in it."""
+        matrix = dense(self.problem.layout.envelope, self.normal.matrix)
+        # Of an unknown that nothing resists only rounding is left, of either sign.
+        nothing = np.diag(matrix) <= 0.0
+        matrix[nothing], matrix[:, nothing] = 0.0, 0.0
+        scale = np.sqrt(np.where(nothing, 1.0, np.diag(matrix)))
+        return scale, matrix / np.outer(scale, scale)
+
+    @cached_property
+    def _weak(self) -> tuple[Floats, Floats]:
+        """Eigenvalues of the scaled matrix that are suspect, with their eigenvectors."""
+        values, vectors = eigh(self.scaled[1], subset_by_value=(-np.inf, SUSPECT.null))
+        return values, vectors
+
+    def null(self, limit: float) -> Floats:
+        """Eigenvectors of the scaled matrix with eigenvalues below a limit, as columns."""
+        values, vectors = self._weak
+        return np.asarray(vectors[:, values < limit])
+
+    def parallel(self, limit: float) -> Integers:
+        """Points whose rays come from one place: their own block is nearly singular."""
+        normal = self.normal
+        eliminated = self.problem.design.point_column < 0
+        eliminated[normal.singular] = False
+        point_normal = np.linalg.inv(normal.kept.inverse[eliminated])
+        share = np.linalg.det(point_normal) / np.prod(np.diagonal(point_normal, axis1=1, axis2=2), axis=1)
+        weak = np.flatnonzero(eliminated)[share < limit]
+        return np.union1d(normal.singular, weak)
+
+
 def weakest_pivot(factor_diagonal: Floats, diagonal: Floats) -> float:
     """Smallest share of a diagonal element that remains when all before it are eliminated."""
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -44,19 +90,23 @@ def weakest_pivot(factor_diagonal: Floats, diagonal: Floats) -> float:
 
 def explain_singular(problem: Problem, state: State, limits: RankLimits = SINGULAR) -> None:
     """Raise what the observations leave undetermined; return when they determine everything."""
-    normal = normal_equations(problem, state)
+    _explain(_Resistance(problem, state), limits)
+
+
+def _explain(resistance: _Resistance, limits: RankLimits) -> None:
+    problem = resistance.problem
     names = problem.network.point_names
-    alone = _parallel(problem, normal, limits.parallel)
+    alone = resistance.parallel(limits.parallel)
     if len(alone):
         some = ", ".join(names[j] for j in alone[:5])
         raise IllPosedError(
             f"the rays of {len(alone)} object point(s) do not intersect ({some})",
             "give these points rays from different places, or remove them",
         ).of_points(tuple(names[j] for j in alone))
-    scale, scaled, null = _null_space(problem, normal, limits.null)
+    null = resistance.null(limits.null)
     if not null.shape[1]:
         return
-    datum, other = _datum_part(problem, state, scale, scaled, null)
+    datum, other = _datum_part(resistance, null)
     named = unknowns(problem)
     parts = []
     if datum:
@@ -67,7 +117,7 @@ def explain_singular(problem: Problem, state: State, limits: RankLimits = SINGUL
     raise IllPosedError(
         f"the network is {how} (rank defect {null.shape[1]}): " + "; ".join(parts),
         "add control points, weighted positions or prior sigmas, or hold what cannot be determined",
-        details=_null_vectors(named, null, scale),
+        details=_null_vectors(named, null, resistance.scaled[0]),
     )
 
 
@@ -80,11 +130,12 @@ def require_determined(
     distance = np.linalg.norm(state.points - first, axis=1)
     spread = np.sqrt(np.trace(point_covariance, axis1=1, axis2=2))
     lost = np.flatnonzero(~(spread < LOST_POINT * distance))
+    resistance = _Resistance(problem, state)
     if len(lost):
         # Where rounding alone has let a singular system through, no weak datum excuses it.
-        explain_singular(problem, state, SINGULAR)
-    if len(lost) and not only_the_datum_is_weak(problem, state):
-        explain_singular(problem, state, SUSPECT)
+        _explain(resistance, SINGULAR)
+    if len(lost) and not _only_the_datum(resistance):
+        _explain(resistance, SUSPECT)
         some = ", ".join(problem.network.point_names[j] for j in lost[:5])
         raise IllPosedError(
             f"{len(lost)} object point(s) are uncertain by more than half of their distance ({some}): "
@@ -109,11 +160,13 @@ def require_cameras(problem: Problem, state: State, camera_covariance: Floats) -
 
 def only_the_datum_is_weak(problem: Problem, state: State) -> bool:
     """Whether all that is uncertain is where the whole lies: rays do not mind, and the shape is known."""
-    normal = normal_equations(problem, state)
-    if len(_parallel(problem, normal, SUSPECT.parallel)):
+    return _only_the_datum(_Resistance(problem, state))
+
+
+def _only_the_datum(resistance: _Resistance) -> bool:
+    if len(resistance.parallel(SUSPECT.parallel)):
         return False
-    scale, scaled, null = _null_space(problem, normal, SUSPECT.null)
-    datum, other = _datum_part(problem, state, scale, scaled, null)
+    datum, other = _datum_part(resistance, resistance.null(SUSPECT.null))
     return bool(datum) and not other.shape[1]
 
 
@@ -123,33 +176,10 @@ def share_of_datum(problem: Problem, state: State, step: Floats, scale: Floats) 
     return float(np.linalg.norm(moves.T @ (step * scale)) / np.linalg.norm(step * scale))
 
 
-def _null_space(problem: Problem, normal: Normal, limit: float) -> tuple[Floats, Floats, Floats]:
-    """Scale of the unknowns, the scaled matrix, and its eigenvectors with eigenvalues below a limit."""
-    matrix = dense(problem.layout.envelope, normal.matrix)
-    # Of an unknown that nothing resists only rounding is left, of either sign.
-    nothing = np.diag(matrix) <= 0.0
-    matrix[nothing], matrix[:, nothing] = 0.0, 0.0
-    scale = np.sqrt(np.where(nothing, 1.0, np.diag(matrix)))
-    scaled = matrix / np.outer(scale, scale)
-    eigenvalues, vectors = np.linalg.eigh(scaled)
-    return scale, scaled, vectors[:, eigenvalues < limit]
-
-
-def _parallel(problem: Problem, normal: Normal, limit: float) -> Integers:
-    """Points whose rays come from one place: their own block is nearly singular."""
-    eliminated = problem.design.point_column < 0
-    eliminated[normal.singular] = False
-    point_normal = np.linalg.inv(normal.kept.inverse[eliminated])
-    share = np.linalg.det(point_normal) / np.prod(np.diagonal(point_normal, axis1=1, axis2=2), axis=1)
-    weak = np.flatnonzero(eliminated)[share < limit]
-    return np.union1d(normal.singular, weak)
-
-
-def _datum_part(
-    problem: Problem, state: State, scale: Floats, scaled: Floats, null: Floats
-) -> tuple[list[str], Floats]:
+def _datum_part(resistance: _Resistance, null: Floats) -> tuple[list[str], Floats]:
     """Datum elements that make up null vectors, and the null vectors that are something else."""
-    moves = similarity_moves(problem, state)[0] * scale[:, None]
+    scale, scaled = resistance.scaled
+    moves = similarity_moves(resistance.problem, resistance.state)[0] * scale[:, None]
     length = np.linalg.norm(moves, axis=0)
     unit = moves / np.where(length > 0, length, 1.0)
     weights = np.linalg.lstsq(unit, null, rcond=None)[0]

@@ -121,11 +121,9 @@ class ReferenceFrame:
         """See `LocalFrame`."""
         geographic = parsed(self.crs).is_geographic
         steps = np.array([1e-5, 1e-5, 1.0]) if geographic else np.ones(3)
-        columns = [
-            (self.to_local(given + step * axis) - self.to_local(given - step * axis)) / (2 * step)
-            for step, axis in zip(steps, np.eye(3), strict=True)
-        ]
-        return np.stack(columns, axis=2)
+        moves = np.diag(steps)[:, None]
+        ahead, behind = self.to_local(np.vstack([*(given + moves), *(given - moves)])).reshape(2, 3, -1, 3)
+        return np.asarray(np.moveaxis((ahead - behind) / (2 * steps[:, None, None]), 0, 2))
 
 
 @cache

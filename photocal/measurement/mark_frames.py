@@ -27,7 +27,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue
 from photocal.measurement.features import Features, FeatureSettings
 from photocal.measurement.image_facts import ImageFacts
-from photocal.measurement.match_images import MatchingPlan, features_of, match
+from photocal.measurement.match_images import MatchingPlan, features_of, matches_of
 
 # Sizes that people reduce pictures to, of the stored ones, beside what EXIF says was the full one.
 FACTORS = (1.0, 0.5, 0.25, 2.0, 4.0)
@@ -310,26 +310,28 @@ def _carried(marks: Sequence[Mark], folder: Mapping[str, Path]) -> list[_Carried
     some_pairs = [list(islice(combinations(some, 2), MOST_PAIRS)) for some in of_point]
     # Pairs of different points first.
     pairs = [pair for turn in zip_longest(*some_pairs) for pair in turn if pair is not None]
-    seen: dict[str, Features | None] = {}
+    seen: dict[str, tuple[str, Features] | None] = {}
+    reduced = MatchingPlan(features=FeatureSettings(longest_px=LONGEST_PX, most=2000))
     carried: list[_Carried] = []
     for first, second in pairs[: 2 * MOST_PAIRS]:
-        one, other = (_features(mark.image, folder, seen) for mark in (first, second))
+        one, other = (_features(mark.image, folder, seen, reduced) for mark in (first, second))
         if one is None or other is None or first.image == second.image:
             continue
-        rows = match(one, other)
+        rows = matches_of(one, other, reduced)
         if len(rows) >= FEWEST:
-            here, there = one.pixels[rows[:, 0]], other.pixels[rows[:, 1]]
+            here, there = one[1].pixels[rows[:, 0]], other[1].pixels[rows[:, 1]]
             carried.append((first, second, here.astype(np.float64), there.astype(np.float64)))
         if len(carried) == MOST_PAIRS:
             break
     return carried
 
 
-def _features(name: str, folder: Mapping[str, Path], seen: dict[str, Features | None]) -> Features | None:
-    """Features of a reduced picture, in pixels of the stored grid."""
+def _features(
+    name: str, folder: Mapping[str, Path], seen: dict[str, tuple[str, Features] | None], reduced: MatchingPlan
+) -> tuple[str, Features] | None:
+    """Features of a reduced picture with their key, in pixels of the stored grid."""
     if name not in seen:
         try:
-            reduced = MatchingPlan(features=FeatureSettings(longest_px=LONGEST_PX, most=2000))
             seen[name] = features_of(folder[name], reduced)
         except (PhotocalError, KeyError, OSError):
             seen[name] = None

@@ -229,7 +229,7 @@ def match_all(
     keys: Sequence[str], pairs: Integers, plan: MatchingPlan, done: Callable[[float], None]
 ) -> tuple[Tracks, Integers]:
     """Match pairs of images and join the matches to tracks."""
-    tasks = ((combined_key(MATCHES, "match", keys[a], keys[b]), keys[a], keys[b], plan) for a, b in pairs)
+    tasks = ((_match_key(keys[a], keys[b]), keys[a], keys[b], plan) for a, b in pairs)
     matches = list(run_tasks(_match_one, tasks, plan.processes, done, lambda task: kept(plan.cache, task[0])))
     # Descriptors stay on the disk: only places and scales of all images are held.
     features = [_features(plan, key) for key in keys]
@@ -252,8 +252,10 @@ def _detect_one(image: tuple[Path, str, MatchingPlan]) -> tuple[str, str]:
     return key, ""
 
 
-def features_of(path: Path, plan: MatchingPlan) -> Features | None:
-    """Features of one picture, kept where the cache can be written; None where the picture is damaged.
+def features_of(path: Path, plan: MatchingPlan) -> tuple[str, Features] | None:
+    """Features of one picture and their key; None where the picture is damaged.
+
+    The key is empty where the cache cannot be written.
 
     raises OSError: when the file cannot be opened.
     """
@@ -261,15 +263,31 @@ def features_of(path: Path, plan: MatchingPlan) -> Features | None:
         key, reason = _detect_one((path, combined_key(FEATURES, digest(path), plan.features), plan))
     except OutputError:
         # Few pictures are looked at: without a cache that costs seconds.
-        return detect(as_eight_bit(read_grey(path)), plan.features)
-    return None if reason else _features(plan, key, whole=True)
+        return "", detect(as_eight_bit(read_grey(path)), plan.features)
+    return None if reason else (key, _features(plan, key, whole=True))
+
+
+def matches_of(first: tuple[str, Features], second: tuple[str, Features], plan: MatchingPlan) -> Integers:
+    """Matches of two pictures as `features_of` gives them, kept where the cache can be written."""
+    (key, one), (other_key, other) = first, second
+    if not key or not other_key:
+        return match(one, other)
+    return _kept_matches(_match_key(key, other_key), plan, lambda: match(one, other))
+
+
+def _match_key(first: str, second: str) -> str:
+    return combined_key(MATCHES, "match", first, second)
+
+
+def _kept_matches(key: str, plan: MatchingPlan, make: Callable[[], Integers]) -> Integers:
+    made = cached(plan.cache, key, ("pairs",), lambda: {"pairs": make()})
+    return np.asarray(made["pairs"], dtype=np.int64)
 
 
 def _match_one(task: tuple[str, str, str, MatchingPlan]) -> Integers:
     key, first, second, plan = task
     whole = partial(_features, plan, whole=True)
-    made = cached(plan.cache, key, ("pairs",), lambda: {"pairs": match(whole(first), whole(second))})
-    return np.asarray(made["pairs"], dtype=np.int64)
+    return _kept_matches(key, plan, lambda: match(whole(first), whole(second)))
 
 
 def _features(plan: MatchingPlan, key: str, *, whole: bool = False) -> Features:
