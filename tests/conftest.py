@@ -139,7 +139,7 @@ def pytest_xdist_auto_num_workers() -> int:
 # run of all. `make times` measures them anew. What is "kept" is never left for the longest run: much stands
 # on it.
 TIMES = Path(__file__).with_name("times.txt")
-SLOW_S, LONG_S = 20.0, 35.0
+SLOW_S, LONG_S = 20.0, 30.0
 
 
 def times() -> dict[Path, float]:

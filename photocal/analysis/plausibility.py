@@ -54,6 +54,7 @@ class CalibrationRecord:
         ground, ground sampling distance, air base, share of overlap.
     convergence_deg, depth_spread: largest angle between two optical axes; spread of the camera-object
         distances over their median.
+    stated_sigma_c: standard deviation of c that a client is told, where that is not the formal one.
     prior_sigmas: standard deviations of values that were observations too, by parameter.
     lever_arm_cm, boresight_deg: offsets of the positioning system.
     """
@@ -79,6 +80,7 @@ class CalibrationRecord:
     forward_overlap: float | None = None
     convergence_deg: float | None = None
     depth_spread: float | None = None
+    stated_sigma_c: float | None = None
     prior_sigmas: Mapping[str, float] = field(default_factory=dict)
     lever_arm_cm: Offsets | None = None
     boresight_deg: Offsets | None = None
@@ -230,7 +232,8 @@ def _base(record: CalibrationRecord) -> list[Finding]:
 
 def _weakness(record: CalibrationRecord) -> list[Finding]:
     """Find a principal distance that the network hardly tells from the distance of the object."""
-    share = record.sigmas.get("c", 0.0) / record.values["c"]
+    sigma = record.sigmas.get("c", 0.0) if record.stated_sigma_c is None else record.stated_sigma_c
+    share = sigma / record.values["c"]
     if share <= policy.weak_c:
         return []
     figures = {"percent": 100.0 * share}

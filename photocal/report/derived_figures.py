@@ -308,6 +308,7 @@ def _record(run: AnalysedRun, camera_id: str, particulars: Metadata) -> Calibrat
         **given_figures(particulars.camera, particulars.campaign, particulars.gnss_ins),
         convergence_deg=convergence,
         depth_spread=spread,
+        stated_sigma_c=run.stated(camera_id)[0],
         prior_sigmas={name: prior[name] for name in camera.free if np.isfinite(prior[name])},
     )
 

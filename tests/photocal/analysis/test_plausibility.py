@@ -192,6 +192,14 @@ def test_weak_principal_distance_says_why() -> None:
     assert plausibility(replace(weak, sigmas={"c": 0.004 * 3673.03})) == ()
 
 
+def test_a_principal_distance_that_single_images_move_is_weak_whatever_its_formal_sigma() -> None:
+    stated = replace(sound(), sigmas={"c": 0.001 * 3673.03}, stated_sigma_c=0.061 * 3673.03)
+    (finding,) = plausibility(stated)
+    assert finding.code == "weak_principal_distance"
+    assert finding.figures == pytest.approx({"percent": 6.1})
+    assert plausibility(replace(stated, stated_sigma_c=0.001 * 3673.03)) == ()
+
+
 def test_malformed_matrices() -> None:
     for spoilt in (np.eye(7), np.full((8, 8), np.nan), 2 * np.eye(8), np.triu(np.ones((8, 8)))):
         assert correlation_findings(NAMES, spoilt, 0.005)[0].code == "correlation_malformed"
