@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from photocal.base.codec import same
 from photocal.block.model import Block, Images, ObjectPoints
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
@@ -41,7 +43,11 @@ def _rays(places: Floats, noise_px: float, seed: int) -> tuple[NDArray[np.int64]
 
 
 def oriented(
-    given: Floats, positions: Floats | None = None, marks: Floats | None = None, some: slice = slice(None)
+    given: Floats,
+    positions: Floats | None = None,
+    marks: Floats | None = None,
+    some: slice = slice(None),
+    cache: Path | None = None,
 ) -> Oriented:
     """Orient eight pictures of hilly ground with control as somebody has typed it."""
     rng = np.random.default_rng(5)
@@ -58,7 +64,7 @@ def oriented(
     pixels = pixels if marks is None else pixels + marks[: len(pixels)]
     kept = np.isin(point, np.arange(9)[some])
     seen = block.observations.plus(image[kept], point[kept], pixels[kept], np.ones((int(kept.sum()), 2)))
-    return first_orientation(replace(block, observations=seen), tracks)
+    return first_orientation(replace(block, observations=seen), tracks, cache)
 
 
 def said(found: Oriented, code: str) -> list[str]:
@@ -88,6 +94,19 @@ def test_views_that_patches_are_cut_in_are_those_of_rays_and_positions_alone() -
     assert np.array_equal(one.by_rays.values, other.by_rays.values)
     assert np.array_equal(one.by_rays.tracks.pixels, other.by_rays.tracks.pixels)
     assert not np.array_equal(one.adjusted.values, other.adjusted.values)
+
+
+@pytest.mark.parametrize("positioned", [False, True])
+def test_pictures_are_oriented_to_each_other_once_whatever_marks_change(
+    positioned: bool, tmp_path: Path
+) -> None:
+    """What is kept of it gives, to the last bit, what is found anew."""
+    positions = STATIONS + np.random.default_rng(4).normal(0, 1.0, STATIONS.shape) if positioned else None
+    for marks in (np.zeros((72, 2)), np.full((72, 2), 0.1), np.zeros((72, 2))):
+        kept = oriented(SURVEY, positions, marks, cache=tmp_path)
+        assert len(list(tmp_path.rglob("*.npz"))) == 1
+        anew = oriented(SURVEY, positions, marks)
+        assert same(kept.adjusted.block, anew.adjusted.block)
 
 
 @pytest.mark.parametrize("positioned", [False, True])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
@@ -251,6 +252,17 @@ def test_cached_results_are_not_made_again_and_damage_is_repaired(tmp_path: Path
 
 def test_workers_give_the_same_in_the_same_order() -> None:
     assert list(run_tasks(abs, range(-9, 0), 2)) == list(run_tasks(abs, range(-9, 0), 1))
+
+
+def test_what_is_kept_is_taken_here_and_only_the_rest_elsewhere() -> None:
+    odd = list(run_tasks(_where, range(6), 2, at_hand=lambda task: task % 2 == 0))
+    assert [task for task, _ in odd] == list(range(6))
+    assert [process == os.getpid() for _, process in odd] == [True, False] * 3
+    assert {process for _, process in run_tasks(_where, range(6), 2, at_hand=lambda _: True)} == {os.getpid()}
+
+
+def _where(task: int) -> tuple[int, int]:
+    return task, os.getpid()
 
 
 def test_two_workers_give_the_tracks_of_one(tmp_path: Path) -> None:
