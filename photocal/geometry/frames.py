@@ -64,15 +64,6 @@ class ReferenceFrame:
     origin: Floats
 
     @cached_property
-    def _to_geodetic(self) -> Any:
-        from pyproj import Transformer
-
-        system = parsed(self.crs)
-        geodetic = system.geodetic_crs.to_3d()
-        source = system if len(system.axis_info) == 3 else system.to_3d()
-        return Transformer.from_crs(source, geodetic, always_xy=True, allow_ballpark=False, only_best=True)
-
-    @cached_property
     def _ellipsoid(self) -> str:
         ellipsoid = parsed(self.crs).ellipsoid
         return f"+a={ellipsoid.semi_major_metre!r} +b={ellipsoid.semi_minor_metre!r}"
@@ -88,8 +79,10 @@ class ReferenceFrame:
         from pyproj.exceptions import ProjError
 
         try:
-            result = np.column_stack(self._to_geodetic.transform(*given.T, errcheck=True))
+            result = np.column_stack(_to_geodetic(self.crs).transform(*given.T, errcheck=True))
         except ProjError as failure:
+            # A grid that is installed later is looked for again.
+            _to_geodetic.cache_clear()
             raise InputMalformedError(
                 f"coordinates cannot be transformed from {self.crs} ({failure})",
                 where="block",
@@ -115,7 +108,9 @@ class ReferenceFrame:
         """See `LocalFrame`."""
         origin, rotation = self.axes
         latitude, longitude, height = geodetic(local @ rotation + origin, self._ellipsoid)
-        return np.column_stack(self._to_geodetic.transform(longitude, latitude, height, direction="INVERSE"))
+        return np.column_stack(
+            _to_geodetic(self.crs).transform(longitude, latitude, height, direction="INVERSE")
+        )
 
     def derivative(self, given: Floats) -> Floats:
         """See `LocalFrame`."""
@@ -124,6 +119,17 @@ class ReferenceFrame:
         moves = np.diag(steps)[:, None]
         ahead, behind = self.to_local(np.vstack([*(given + moves), *(given - moves)])).reshape(2, 3, -1, 3)
         return np.asarray(np.moveaxis((ahead - behind) / (2 * steps[:, None, None]), 0, 2))
+
+
+@cache
+def _to_geodetic(crs: str) -> Any:
+    """The way from a system to longitude, latitude and ellipsoidal height; to find it takes milliseconds."""
+    from pyproj import Transformer
+
+    system = parsed(crs)
+    geodetic = system.geodetic_crs.to_3d()
+    source = system if len(system.axis_info) == 3 else system.to_3d()
+    return Transformer.from_crs(source, geodetic, always_xy=True, allow_ballpark=False, only_best=True)
 
 
 @cache

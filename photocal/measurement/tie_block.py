@@ -211,16 +211,16 @@ def ray_sigmas(scale: Floats, image: Integers, size: Floats, redundancy: Floats)
     # An image with fewer rays has the sigmas of all.
     fewest_in_image = 100
     judged = np.flatnonzero(count >= fewest_in_image)
+    rays = np.flatnonzero(seen)
+    of_image = np.split(rays[np.argsort(image[rays], kind="stable")], np.cumsum(count)[:-1])
     factor = np.ones(images)
     # Classes and images in turn, until neither changes.
     turns = 4
     for _ in range(turns):
         of_class = class_sigmas(scale, size / factor[image], redundancy)
         for k in judged:
-            of_image = (image == k) & seen
-            factor[k] = _sigma_of_the_kept(
-                (size[of_image] / of_class[of_image]) ** 2, 2 * redundancy[of_image]
-            )
+            own = of_image[k]
+            factor[k] = _sigma_of_the_kept((size[own] / of_class[own]) ** 2, 2 * redundancy[own])
         # Their mean is 1, so that images of few rays have the sigmas of all.
         factor[judged] /= (
             np.exp(np.average(np.log(factor[judged]), weights=count[judged])) if len(judged) else 1
