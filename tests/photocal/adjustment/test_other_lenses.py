@@ -23,6 +23,11 @@ Floats = NDArray[np.float64]
 SIZE, SIGMA = (1640, 1232), 0.15
 BOARD = np.array([[x, y, 0.0] for y in range(6) for x in range(9)]) * 0.03
 RATIONAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
+# OpenCV 4 has flags of their own for fisheye lenses.
+OF_FISHEYE = cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2
+RECOMPUTED = (
+    OF_FISHEYE.CALIB_RECOMPUTE_EXTRINSIC | OF_FISHEYE.CALIB_FIX_SKEW | OF_FISHEYE.CALIB_USE_INTRINSIC_GUESS
+)
 CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 300, 1e-15)
 
 
@@ -110,7 +115,7 @@ def test_fisheye_is_calibrated_as_opencv_does() -> None:
     calibrate: Any = cv2.fisheye.calibrate
     _, k, d, turns, shifts = calibrate(
         [BOARD[None]] * len(seen), [one[None] for one in seen], SIZE, matrix.copy(), true.copy(),
-        flags=cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW | cv2.CALIB_USE_INTRINSIC_GUESS,
+        flags=RECOMPUTED,
         criteria=CRITERIA,
     )  # fmt: skip
     values = dict(zip(("k1", "k2", "k3", "k4"), np.ravel(d).tolist(), strict=True))
@@ -140,7 +145,7 @@ def test_recorded_boards(shared: Path) -> None:
     guess = np.array([[1320.0, 0, 811], [0, 1320, 619], [0, 0, 1]])
     _, k, d, turns, shifts = calibrate(
         [BOARD[None]] * 10, [one[None] for one in seen], SIZE, guess, np.zeros(4),
-        flags=cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW | cv2.CALIB_USE_INTRINSIC_GUESS,
+        flags=RECOMPUTED,
         criteria=CRITERIA,
     )  # fmt: skip
     values = dict(zip(("k1", "k2", "k3", "k4"), np.ravel(d).tolist(), strict=True))
