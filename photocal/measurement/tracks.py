@@ -98,14 +98,16 @@ def thin(tracks: Tracks, sizes: Floats, cells: int, in_a_cell: int) -> Tracks:
     side = sizes.max(axis=1)[tracks.image] / cells
     order, starts = _strongest_first(tracks)
     column, row = (np.maximum(tracks.pixels.T, 0.0) / side).astype(np.int64)
-    cell = (tracks.image * (cells + 1) + column) * (cells + 1) + row
-    filled = np.zeros(int(cell.max(initial=-1)) + 1, dtype=np.int64)
+    # Lists: of so few elements at a time arrays would take several times as long.
+    cell = ((tracks.image * (cells + 1) + column) * (cells + 1) + row).tolist()
+    filled, first = [0] * (max(cell, default=-1) + 1), starts.tolist()
     keep = np.zeros(tracks.count, dtype=np.bool_)
-    for j in order:
-        cells_of_track = cell[starts[j] : starts[j + 1]]
-        if (filled[cells_of_track] < in_a_cell).any():
+    for j in order.tolist():
+        own = cell[first[j] : first[j + 1]]
+        if any(filled[k] < in_a_cell for k in own):
             keep[j] = True
-            filled[cells_of_track] += 1
+            for k in own:
+                filled[k] += 1
     return tracks.some(keep[tracks.track])
 
 
@@ -125,11 +127,11 @@ def spaced(tracks: Tracks, least_px: float) -> Tracks:
     neighbours = csr_array(
         (links, (np.r_[first, second], np.r_[second, first])), shape=(tracks.count, tracks.count)
     )
-    keep = np.zeros(tracks.count, dtype=np.bool_)
-    for j in _strongest_first(tracks)[0]:
-        beside = neighbours.indices[neighbours.indptr[j] : neighbours.indptr[j + 1]]
-        keep[j] = not keep[beside].any()
-    return tracks.some(keep[tracks.track])
+    beside, first = neighbours.indices.tolist(), neighbours.indptr.tolist()
+    keep = [False] * tracks.count
+    for j in _strongest_first(tracks)[0].tolist():
+        keep[j] = not any(keep[k] for k in beside[first[j] : first[j + 1]])
+    return tracks.some(np.array(keep, dtype=np.bool_)[tracks.track])
 
 
 def _strongest_first(tracks: Tracks) -> tuple[Integers, Integers]:
