@@ -15,9 +15,9 @@ from photocal.base.sentences import Texts, spoken
 if TYPE_CHECKING:
     from acquire.importing.importer import Imported
 
-Log = Annotated[Path, argument("Flight log (.mcap).")]
-Link = Annotated[str | None, option("Link, when the log has several.")]
-Types = Annotated[bool, option("List frames by type, and the topics of the log.", "--types")]
+Log = Annotated[Path, argument("Flight log (.mcap).", metavar="FLIGHT.mcap")]
+Link = Annotated[str | None, option("Name of the link, needed where the log has several.", metavar="NAME")]
+Types = Annotated[bool, option("Also list frames by type, and the topics of the log.", "--types")]
 
 
 def import_(
@@ -27,15 +27,15 @@ def import_(
         argument("Recordings: .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg, .mrk; gzip too.", metavar="FILE"),
     ] = None,
     link: Annotated[
-        list[str] | None, option("Recording with the name of its link.", metavar="NAME=FILE")
+        list[str] | None, option("Recording with the name of its link; may be repeated.", metavar="NAME=FILE")
     ] = None,
     date: Annotated[
-        str | None, option("UTC date of the beginning of streams without a date.", metavar="YYYY-MM-DD")
+        str | None, option("UTC date of the first data of streams that hold no date.", metavar="YYYY-MM-DD")
     ] = None,
     language: Language = "",
     as_json: AsJson = False,
 ) -> None:
-    """Import recordings into one flight log, raw first.
+    """Import recordings into one flight log: raw frames, and what is decoded from them.
 
     Example: `acquire import flight.tlog --link rover=rover.ubx --link base=base.ubx.gz -o flight.mcap`
     """
@@ -48,7 +48,7 @@ def import_(
     if not named and not unnamed:
         raise ConfigurationError("no recording was named", "give FILE or --link NAME=FILE")
     total = sum(p.stat().st_size for p in [*unnamed, *(p for _, p in named)] if p.is_file())
-    with progress("importing", total) as advance:
+    with progress(say("progress.importing"), total, say.messages["progress.left"]) as advance:
         results = import_recordings(named, unnamed, output, advance, near_ns)
     for result in results:
         if result.warning:
@@ -184,7 +184,7 @@ def _row(kind: str, frames: str, rate: str, gap: str) -> str:
 
 def replay(
     log: Log,
-    to: Annotated[str, option("udp://HOST:PORT, tcp://HOST:PORT (waits for a reader) or pty.")],
+    to: Annotated[str, option("Receiver: udp://HOST:PORT, tcp://HOST:PORT (waits for a connection) or pty.")],
     link: Link = None,
     speed: Annotated[float, option("Speed factor; 0: as fast as the receiver accepts.", min=0)] = 1.0,
     language: Language = "",
@@ -218,7 +218,7 @@ def replay(
 
 
 def recover(
-    log: Annotated[Path, argument("Flight log (.mcap); it is not changed.")],
+    log: Annotated[Path, argument("Flight log (.mcap); it is not changed.", metavar="FLIGHT.mcap")],
     output: Annotated[
         Path | None, option("Repaired log (default: NAME.recovered.mcap).", "-o", "--output")
     ] = None,

@@ -19,9 +19,14 @@ def texts(language: str) -> Texts:
     """
     own = read_texts("acquire.commands", "said", language)
     # Of sentences alike the first counts: those of the page leave reasons of a lost link in English.
-    messages = own | _alarms(language) | read_texts("photocal.base", "refusals", language)
+    messages = own | _alarms(language) | _shared(language)
     english = messages if language == "en" else texts("en").messages
     return Texts(language, messages["number.decimal_mark"], messages, english)
+
+
+def _shared(language: str) -> dict[str, str]:
+    """What both programs refuse, and the frame of their help."""
+    return read_texts("photocal.base", "refusals", language) | read_texts("photocal.base", "help", language)
 
 
 def _alarms(language: str) -> dict[str, str]:

@@ -13,9 +13,10 @@ from rich.text import Text
 
 from acquire.monitor.state import ShownAlarm
 from acquire.monitor.view_model import MapLayer, PageView, Row, Word
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Floats, Integers, picked
 from photocal.base.console import printable
 from photocal.base.geodesy import enu_offsets
+from photocal.base.sentences import Texts
 from photocal.base.time_scales import SECOND_NS
 
 # Dots of a Braille cell by column and row (Unicode 15, chapter 21.1).
@@ -24,7 +25,7 @@ _BRAILLE_SIGNS = {"missed": ("✕", "bold red"), "station": ("▲", "green")}
 _TRACK, _PICTURE, _HERE = "blue", "bold", "bold blue"
 
 
-def braille_map(layers: Sequence[MapLayer], width: int, height: int) -> Text:
+def braille_map(layers: Sequence[MapLayer], say: Texts, width: int, height: int) -> Text:
     """Draw layers, north up."""
     # The Braille cell without dots.
     blank = 0x2800
@@ -33,7 +34,7 @@ def braille_map(layers: Sequence[MapLayer], width: int, height: int) -> Text:
     rows = height - 1
     drawn = [layer for layer in layers if len(layer.points)]
     if not drawn or width < 8 or rows < 2:
-        return Text("\n" * (rows // 2) + "no position yet".center(width), style="dim")
+        return Text("\n" * (rows // 2) + say("monitor.no_position").center(width), style="dim")
     shown = [layer for layer in drawn if layer.kind != "station"] or drawn
     places = metres(np.concatenate([layer.points for layer in shown]), drawn[0].points[0])
     low, high = places.min(axis=0), places.max(axis=0)
@@ -118,78 +119,83 @@ _PAST = {"warn": "yellow", "bad": "bold red"}
 _LEAST_WITH_MAP, _MAP_SHARE, _LEAST_MAP = 76, 0.27, 20
 
 
-def render(view: PageView, layers: Sequence[MapLayer], width: int, height: int) -> RenderableType:
-    """Return the view for a window."""
+def render(view: PageView, layers: Sequence[MapLayer], say: Texts, width: int, height: int) -> RenderableType:
+    """Return the view for a window, in the language of `say`."""
     map_width = max(_LEAST_MAP, round(_MAP_SHARE * width)) if width >= _LEAST_WITH_MAP else 0
     left = width - map_width - (2 if map_width else 0)
-    sections = _sections(view, left)
+    sections = _sections(view, say, left)
     used = 1 + len(sections)
     room = max(height - used - 2, 1)
-    figures = Group(*sections, _heading("alarms (UTC)"), _alarms(view.alarms, room))
+    figures = Group(*sections, _heading(say("monitor.alarms")), _alarms(view.alarms, say, room))
     if not map_width:
-        return Group(_head(view), figures)
+        return Group(_head(view, say), figures)
     both = Table.grid(padding=(0, 2, 0, 0))
     both.add_column(width=left)
     both.add_column(width=map_width)
-    both.add_row(figures, braille_map(layers, map_width, height - 1))
-    return Group(_head(view), both)
+    both.add_row(figures, braille_map(layers, say, map_width, height - 1))
+    return Group(_head(view, say), both)
 
 
-def _sections(view: PageView, width: int) -> list[RenderableType]:
+def _sections(view: PageView, say: Texts, width: int) -> list[RenderableType]:
     """Return headings and lines, each one line high."""
     # Longer names are cut, so that the figures keep their place.
     longest_name = 12
     sections: list[RenderableType] = []
     names = [row["name"] for row in (*view.receivers, *view.links)]
-    wide = min(max(map(len, ["disk", *names])), longest_name)
+    wide = min(max(map(len, [say("monitor.disk"), *names])), longest_name)
     groups: dict[str, Sequence[str | Text]] = {
-        "fix": [_receiver(row, wide) for row in view.receivers] or ["no data from a receiver yet"],
-        "pictures": [_camera(row, wide) for row in view.cameras] or ["no view yet"],
-        "links": [_link(row, wide) for row in view.links] or ["no data on any link yet"],
-        "computer and vehicle": _rest(view, wide),
+        "fix": [_receiver(row, say, wide) for row in view.receivers] or [say("monitor.no_receiver")],
+        "pictures": [_camera(row, say, wide) for row in view.cameras] or [say("monitor.no_picture")],
+        "links": [_link(row, say, wide) for row in view.links] or [say("monitor.no_link")],
+        "rest": _rest(view, say, wide),
     }
     for heading, lines in groups.items():
-        sections.append(_heading(heading))
+        sections.append(_heading(say(f"monitor.{heading}")))
         sections += [_cut(line, width) for line in lines]
     return sections
 
 
-def _head(view: PageView) -> RenderableType:
+def _head(view: PageView, say: Texts) -> RenderableType:
     line = Table.grid(expand=True)
     line.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
     line.add_column(justify="right", no_wrap=True)
-    name = Text.assemble(_word(view.overall), "  ", view.file)
+    name = Text.assemble(_word(view.overall, say), "  ", view.file)
     line.add_row(name, Text(duration(view.duration_s), style="bold"))
     return line
 
 
-def _receiver(row: Row, wide: int) -> Text:
-    parts = [_name(row["name"], wide), _word(row["fix"])]
+def _receiver(row: Row, say: Texts, wide: int) -> Text:
+    parts = [_name(row["name"], wide), _word(row["fix"], say)]
     if row["satellites"] is not None:
-        parts.append(Text(f"  {row['satellites']} sat"))
+        parts.append(Text("  " + say("monitor.satellites", count=row["satellites"])))
     if (miss := row["horizontal_m"]) is not None:
-        parts.append(Text(f"  {miss * 100:.1f} cm" if miss < 1 else f"  {miss:.1f} m"))
+        parts.append(
+            Text("  " + (f"{say.row([miss * 100], '.1f')} cm" if miss < 1 else f"{say.row([miss], '.1f')} m"))
+        )
     if row["correction_age_s"] is not None:
-        parts += [Text("  corr. "), _word(row["correction"])]
+        parts += [Text(f"  {say('monitor.corrections')} "), _word(row["correction"], say)]
     return Text.assemble(*parts)
 
 
-def _camera(row: Row, wide: int) -> Text:
-    counts = f"  {row['triggered']} triggered, {row['reported']} feedback" if row["triggered"] else ""
-    marks = f"  {row['time_marks']} marks" if row["time_marks"] else ""
-    return Text.assemble(_name(row["link"], wide), _word(row["state"]), counts, marks)
+def _camera(row: Row, say: Texts, wide: int) -> Text:
+    told = [say("monitor.counts", **picked(row, "triggered", "reported"))] if row["triggered"] else []
+    told += [say("monitor.marks", count=row["time_marks"])] if row["time_marks"] else []
+    return Text.assemble(_name(row["link"], wide), _word(row["state"], say), *map("  ".__add__, told))
 
 
-def _link(row: Row, wide: int) -> Text:
-    count = row["gaps"]
-    gaps = f"  {count} gap{'s' * (count > 1)} to {row['longest_gap_s']:.0f} s" if count else "  no gaps"
-    damage = f"  {size(row['damage_bytes'])} damaged" if row["damage_bytes"] else ""
-    rates = f"  {row['frames_per_s']:.1f}/s  {size(row['bytes_per_s'])}/s"
-    return Text.assemble(_name(row["name"], wide), _word(row["state"]), rates, gaps, damage)
+def _link(row: Row, say: Texts, wide: int) -> Text:
+    count, longest = row["gaps"], f"{row['longest_gap_s']:.0f}"
+    told = [f"{say.row([row['frames_per_s']], '.1f')}/s", f"{size(row['bytes_per_s'], say)}/s"]
+    key = "monitor.no_gaps" if not count else "monitor.gap" if count == 1 else "monitor.gaps"
+    told.append(say(key, count=count, longest=longest))
+    if row["damage_bytes"]:
+        told.append(say("monitor.damaged", size=size(row["damage_bytes"], say)))
+    return Text.assemble(_name(row["name"], wide), _word(row["state"], say), *map("  ".__add__, told))
 
 
-def _rest(view: PageView, wide: int) -> list[Text]:
-    lines = [Text.assemble(_name("disk", wide), _word(view.disk["state"]), f"  log {size(view.bytes)}")]
+def _rest(view: PageView, say: Texts, wide: int) -> list[Text]:
+    log = say("monitor.log", size=size(view.bytes, say))
+    lines = [Text.assemble(_name(say("monitor.disk"), wide), _word(view.disk["state"], say), f"  {log}")]
     batteries = {row["link"]: row["state"] for row in view.batteries}
     clocks = {row["link"]: row["state"] for row in view.clocks}
     vehicles = {row["link"]: row for row in view.vehicles}
@@ -197,23 +203,26 @@ def _rest(view: PageView, wide: int) -> list[Text]:
         parts: list[str | Text] = [_name(link, wide)]
         if link in vehicles:
             height_m = vehicles[link]["height_m"]
-            parts += [_word(vehicles[link]["mode"]), "  "]
+            parts += [_word(vehicles[link]["mode"], say), "  "]
             parts += [] if height_m is None else [Text(f"{height_m:.0f} m", style="bold"), "  "]
-        parts += [_word(batteries[link]), "  "] if link in batteries else []
-        parts += ["clock ", _word(clocks[link])] if link in clocks else []
+        parts += [_word(batteries[link], say), "  "] if link in batteries else []
+        parts += [f"{say('monitor.clock')} ", _word(clocks[link], say)] if link in clocks else []
         lines.append(Text.assemble(*parts))
     return lines
 
 
-def _alarms(alarms: Sequence[ShownAlarm], room: int) -> RenderableType:
+def _alarms(alarms: Sequence[ShownAlarm], say: Texts, room: int) -> RenderableType:
     if not alarms:
-        return Text("none", style="dim")
+        return Text(say("monitor.none"), style="dim")
     lines = []
     for alarm in alarms[: -room - 1 : -1]:
         time = dt.datetime.fromtimestamp(alarm.time_ns / SECOND_NS, dt.UTC).strftime("%H:%M:%S ")
-        text = printable(f"{alarm.link}: {alarm.text}" if alarm.link else alarm.text)
+        text = say.stored(alarm.text)
+        text = printable(f"{alarm.link}: {text}" if alarm.link else text)
         said = (f"{_SIGNS[alarm.level]} {text}", "dim" if alarm.ended else _PAST.get(alarm.level, ""))
-        line = Text.assemble((time, "dim"), said, (f" ({alarm.ended})" if alarm.ended else "", "dim"))
+        line = Text.assemble(
+            (time, "dim"), said, (f" ({say(f'monitor.{alarm.ended}')})" if alarm.ended else "", "dim")
+        )
         line.no_wrap, line.overflow = True, "ellipsis"
         lines.append(line)
     return Group(*lines)
@@ -229,8 +238,8 @@ def _name(text: str, width: int) -> Text:
     return Text(f"{short:<{width}} ", style="bold")
 
 
-def _word(word: Word) -> Text:
-    return Text(f"{_SIGNS[word.level]} {printable(word.text)}", style=_STYLES.get(word.level, ""))
+def _word(word: Word, say: Texts) -> Text:
+    return Text(f"{_SIGNS[word.level]} {printable(say.stored(word.text))}", style=_STYLES.get(word.level, ""))
 
 
 def _cut(line: str | Text, width: int) -> Text:
@@ -245,9 +254,9 @@ def duration(seconds: float) -> str:
     return f"{whole // 3600}:{whole // 60 % 60:02}:{whole % 60:02}"
 
 
-def size(count: float) -> str:
+def size(count: float, say: Texts) -> str:
     """Return a size in bytes with its decimal unit."""
     for unit, limit in (("B", 1e3), ("kB", 1e6), ("MB", 1e9)):
         if count < limit:
-            return f"{count / (limit / 1e3):.{0 if unit == 'B' else 1}f} {unit}"
-    return f"{count / 1e9:.1f} GB"
+            return f"{say.row([count / (limit / 1e3)], '.0f' if unit == 'B' else '.1f')} {unit}"
+    return f"{say.row([count / 1e9], '.1f')} GB"

@@ -59,6 +59,10 @@ class Texts:
         """
         return text if self.language == "en" else self._known(text, "stored", own)
 
+    def helped(self, text: str) -> str:
+        """Say in this language what the help has in English; what is not known stands as it is."""
+        return text if self.language == "en" else self._known(text, "help")
+
     def refused(self, text: str) -> str:
         """Say in this language what a command refuses, "place: what happened; what to do".
 
