@@ -7,7 +7,9 @@ import io
 import json
 import math
 import re
+import shutil
 import sys
+import textwrap
 import time
 import types
 from collections.abc import Callable, Iterator, Mapping
@@ -358,8 +360,11 @@ def numbers_of(text: str, option: str, form: str) -> list[float]:
 
 
 def answer(as_json: bool, figures: Callable[[], Any], text: Callable[[], str]) -> None:
-    """Print an answer for a program or for a person."""
-    typer.echo(answered(as_json, figures, text))
+    """Print an answer for a program or for a person; lines wider than a terminal go on below, indented."""
+    said = answered(as_json, figures, text)
+    if not as_json and sys.stdout.isatty():
+        said = "\n".join(_folded(line, shutil.get_terminal_size().columns) for line in said.split("\n"))
+    typer.echo(said)
 
 
 def answered(as_json: bool, figures: Callable[[], Any], text: Callable[[], str]) -> str:
@@ -369,6 +374,19 @@ def answered(as_json: bool, figures: Callable[[], Any], text: Callable[[], str])
 
         return json.dumps(as_plain(figures()), indent=2, allow_nan=False)
     return "\n".join(map(printable, text().split("\n")))
+
+
+def _folded(line: str, width: int) -> str:
+    """Break a line between words; names of files stay whole."""
+    below = " " * (len(line) - len(line.lstrip()) + 4)
+    lines = textwrap.wrap(
+        line,
+        max(width, 2 * len(below)),
+        subsequent_indent=below,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return "\n".join(lines)
 
 
 def write_through(stream: TextIO, text: str) -> None:
@@ -405,10 +423,10 @@ class _Lines:
             return
         self._shown_s, elapsed = now, now - self._began
         line = f"{self._title}: {elapsed:.0f} s"
-        if self._total and self._done:
+        # What is not yet done is told neither as whole nor as without time left; before the first hundredth,
+        # when kernels may be compiled, the time left is not known.
+        if self._total and (share := math.floor(100 * self._done / self._total)):
             seconds = math.ceil(max(elapsed * (self._total / self._done - 1), 0))
-            # What is not yet done is told neither as whole nor as without time left.
-            share = math.floor(100 * self._done / self._total)
             line = f"{self._title}: {self._left.format(share=share, seconds=seconds)}"
         print(line, file=sys.stderr, flush=True)
 
