@@ -40,6 +40,7 @@ def import_(
     Example: `acquire import flight.tlog --link rover=rover.ubx --link base=base.ubx.gz -o flight.mcap`
     """
     from acquire.importing.importer import import_recordings
+    from photocal.base.files import refuse_input_as_output
 
     say = texts(spoken(language))
     named = [_named(text) for text in link or []]
@@ -47,7 +48,9 @@ def import_(
     near_ns = _noon_ns(date)
     if not named and not unnamed:
         raise ConfigurationError("no recording was named", "give FILE or --link NAME=FILE")
-    total = sum(p.stat().st_size for p in [*unnamed, *(p for _, p in named)] if p.is_file())
+    paths = [*unnamed, *(path for _, path in named)]
+    refuse_input_as_output(output, *paths)
+    total = sum(path.stat().st_size for path in paths if path.is_file())
     with progress(say("progress.importing"), total, say.messages["progress.left"]) as advance:
         results = import_recordings(named, unnamed, output, advance, near_ns)
     for result in results:
@@ -202,7 +205,8 @@ def replay(
     say = texts(spoken(language))
     name = replaying.choose_link(log, link)
     with open_sink(to) as (sink, address):
-        typer.echo(say("replay.begins", link=name, address=address), err=True)
+        waits = "" if address.startswith("udp") else say("replay.waits")
+        typer.echo(say("replay.begins", link=name, address=address, waits=waits), err=True)
         sent = replaying.replay(log, name, sink, speed, time.monotonic, time.sleep)
     answer(
         as_json,
@@ -230,13 +234,11 @@ def recover(
     Example: `acquire recover flight.mcap -o repaired.mcap`
     """
     from acquire.importing.recovery import recover as repair
+    from photocal.base.files import refuse_input_as_output
 
     say = texts(spoken(language))
     target = output or log.with_suffix(".recovered.mcap")
-    if target.resolve() == log.resolve():
-        raise ConfigurationError(
-            "the repaired log would overwrite the damaged one", "name another", where=target
-        )
+    refuse_input_as_output(target, log)
     result = repair(log, target)
     answer(
         as_json,
@@ -272,8 +274,10 @@ def export(
     Example: `acquire export flight.mcap --link vehicle -o flight.tlog`
     """
     from acquire.log.replay import choose_link, export_tlog
+    from photocal.base.files import refuse_input_as_output
 
     say = texts(spoken(language))
+    refuse_input_as_output(output, log)
     name = choose_link(log, link)
     count = export_tlog(log, name, output)
     answer(

@@ -85,13 +85,16 @@ def flight(
 
     Example: `acquire simulate flight survey -o flight`
     """
-    from acquire.simulate.world.configuration import read_configuration
+    from acquire.simulate.world.configuration import Level, SimulatedFault, read_configuration
     from acquire.simulate.world.site import simulate_flight
     from photocal.base.files import output_folder
 
     if output.is_dir() and any(output.iterdir()):
         # Files of another flight between the new ones would be taken for its own.
         raise OutputError("is not empty", "name a new folder", where=output)
+    for given, kinds in ((level, Level), *((one, SimulatedFault) for one in fault or [])):
+        if given is not None and given not in list(kinds):
+            raise ConfigurationError(f"{given!r} is not known", f"choose one of {', '.join(kinds)}")
     chosen = {
         "level": "block" if observations_only else level,
         "seed": seed,
@@ -99,9 +102,9 @@ def flight(
     }
     say = texts(spoken(language))
     left = say.messages["progress.left"]
-    given = read_configuration(configuration, {k: v for k, v in chosen.items() if v is not None})
+    plan = read_configuration(configuration, {k: v for k, v in chosen.items() if v is not None})
     with progress(say("progress.simulating"), 1.0, left) as advance, output_folder(output) as aside:
-        figures = simulate_flight(given, aside, advance)
+        figures = simulate_flight(plan, aside, advance)
     answer(
         as_json,
         lambda: {"schema": "acquire.simulate.flight/1", "output": str(output), **figures},

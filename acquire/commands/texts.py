@@ -26,7 +26,10 @@ def texts(language: str) -> Texts:
 
 def _shared(language: str) -> dict[str, str]:
     """What both programs refuse, and the frame of their help."""
-    return read_texts("photocal.base", "refusals", language) | read_texts("photocal.base", "help", language)
+    shared = read_texts("photocal.base", "refusals", language) | read_texts("photocal.base", "help", language)
+    # Why a link is lost may be told by the system.
+    of_system = {key: text for key, text in shared.items() if key.startswith("refusal.system.")}
+    return shared | {key.replace("refusal", "stored", 1): text for key, text in of_system.items()}
 
 
 def _alarms(language: str) -> dict[str, str]:

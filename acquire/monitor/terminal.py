@@ -15,7 +15,7 @@ from rich.text import Text
 
 from acquire.monitor.state import ShownAlarm
 from acquire.monitor.view_model import MapLayer, PageView, Row, Word
-from photocal.base.arrays import Floats, Integers, picked
+from photocal.base.arrays import Floats, Integers
 from photocal.base.console import printable
 from photocal.base.geodesy import enu_offsets
 from photocal.base.sentences import Texts
@@ -203,7 +203,8 @@ def _receiver(row: Row, say: Texts) -> _Line:
 
 
 def _camera(row: Row, say: Texts) -> _Line:
-    told = [say("monitor.counts", **picked(row, "triggered", "reported"))] if row["triggered"] else []
+    counts = {key: row[key] for key in ("triggered", "reported")}
+    told = [say("monitor.counts", **counts)] if row["triggered"] else []
     told += [say("monitor.marks", count=row["time_marks"])] if row["time_marks"] else []
     return row["link"], [_word(row["state"], say), *map(Text, told)]
 

@@ -159,7 +159,7 @@ def _summary(place: str) -> str:
 
 def _as_given(convert: Callable[[Any, Any], Any], context: Any, value: Any) -> Any:
     """Convert an option that was given: what converts costs 0.3 s of imports, also before a help below."""
-    return None if value is None else convert(context, value)
+    return convert(context, value) if value else value
 
 
 _SHARED: dict[str, Any] = {
@@ -297,40 +297,47 @@ def run(app: Callable[..., Any], texts: Callable[[str], "Texts"]) -> None:
     texts: gives the texts of a language: help and failures are said in that of the person.
     """
 
-    def say() -> "Texts":
+    def refused(line: str) -> str:
         from photocal.base.sentences import spoken_to
 
-        return texts(spoken_to(sys.argv[1:]))
+        return texts(spoken_to(sys.argv[1:])).refused(line)
+
+    def helped(text: str) -> str:
+        from photocal.base.sentences import spoken_to
+
+        # The help in English answers without reading any texts.
+        language = spoken_to(sys.argv[1:])
+        return text if language == "en" else texts(language).helped(text)
 
     # At its end the interpreter would look at every object for half a second; nothing is left to be freed.
     atexit.register(gc.freeze)
     try:
-        sys.exit(app(standalone_mode=False, obj=lambda text: say().helped(text)))
+        sys.exit(app(standalone_mode=False, obj=helped))
     except _Misuse as misuse:
         with redirect_stderr(io.StringIO()) as told:
             misuse.show()
         for line in told.getvalue().splitlines():
-            sys.stderr.write(f"{say().helped(line)}\n")
+            sys.stderr.write(f"{helped(line)}\n")
         sys.exit(misuse.exit_code)
     except PhotocalError as failure:
-        _end(failure, say().refused)
+        _end(failure, refused)
     except ModuleNotFoundError as missing:
         name = (missing.name or "").partition(".")[0]
         if name in ("acquire", "drivers", "photocal", ""):
             raise
         # A recorder is installed without what only the processing needs.
         what = f"the package {name} is missing"
-        _end(ProgramMissingError(what, "run: pip install 'photocal[process]'"), say().refused)
+        _end(ProgramMissingError(what, "run: pip install 'photocal[process]'"), refused)
     except BrokenPipeError:
         # The reader of our output went away (`| head`): nothing is left to say.
         sys.stderr.close()
         sys.exit(0)
     except OSError as refusal:
-        _end(of_system(refusal), say().refused)
+        _end(of_system(refusal), refused)
     except UnicodeEncodeError as failure:
         name = failure.object[:80].encode("utf-8", "backslashreplace").decode()
         what = f"a name is not in UTF-8, the encoding of names ({name})"
-        _end(InputMalformedError(what, "rename the file or folder"), say().refused)
+        _end(InputMalformedError(what, "rename the file or folder"), refused)
 
 
 def _end(failure: PhotocalError, said: Callable[[str], str]) -> NoReturn:

@@ -132,7 +132,7 @@ def spoken_to(arguments: Sequence[str]) -> str:
     words = " ".join(arguments).replace("=", " ").split()
     asked = [after for word, after in pairwise(words) if word in ("--lang", "--language")]
     language = asked[-1] if asked else "en" if "--json" in words else spoken()
-    return language if language in LANGUAGES else "en"
+    return language if language in LANGUAGES else spoken()
 
 
 def read_texts(package: str, name: str, language: str) -> dict[str, str]:
