@@ -18,6 +18,7 @@ from photocal.base.console import (
     argument,
     error_lines,
     option,
+    progress,
     write_through,
 )
 from photocal.base.sentences import Texts, spoken
@@ -56,7 +57,8 @@ def check(
     host, dialect = Host(), ardupilotmega()
     positions = caster_positions(chosen, dialect)
     sources = sources_of(chosen, positions, host.clock_ns)
-    checks = preflight.check(chosen, configuration.parent, sources, positions, seconds, host, dialect)
+    with progress(say("progress.listening"), None, say.messages["progress.left"]):
+        checks = preflight.check(chosen, configuration.parent, sources, positions, seconds, host, dialect)
     answer(
         as_json,
         lambda: preflight.as_json(checks),

@@ -163,7 +163,7 @@ def test_every_progress_is_said_in_the_language() -> None:
                 titles += list(literals(node.args[0]))
                 assert isinstance(node.args[0], ast.Call)
                 assert len(node.args) == 3
-    assert {f"progress.{key}" for key in ("importing", "simulating", "flying")} == set(titles)
+    assert {f"progress.{key}" for key in ("importing", "listening", "simulating", "flying")} == set(titles)
 
 
 def test_progress_is_said_in_both_languages(
