@@ -184,14 +184,15 @@ def monitor(
 
         with serving_foxglove(read_address(foxglove_address)) as (listen, url):
             typer.echo(say("monitor.foxglove", url=url), err=True)
-            _show(tail, say, address if page else None, mute, listen, debrief, plan)
+            _show(tail, say, language, address if page else None, mute, listen, debrief, plan)
     else:
-        _show(tail, say, address if page else None, mute, lambda _: None, debrief, plan)
+        _show(tail, say, language, address if page else None, mute, lambda _: None, debrief, plan)
 
 
 def _show(
     tail: Tail,
     say: Texts,
+    language: str,
     address: str | None,
     mute: bool,
     listen: Callable[[list[LoggedMessages]], None],
@@ -211,7 +212,9 @@ def _show(
 
     latest = Latest(lambda: tail.path.parent if tail.path else None, debrief, plan)
     with serving(application(latest), read_address(address)) as url:
-        typer.echo(say("monitor.open", url=url))
+        # Else the browser's language counts, also behind a token.
+        asked = f"?lang={language}" if language and "?" not in url else ""
+        typer.echo(say("monitor.open", url=url + asked))
         follow(tail, latest.publish, stop, listen)
 
 
@@ -230,7 +233,8 @@ def _in_terminal(
     from acquire.monitor.view_model import layers, view_of
 
     console = Console()
-    if not console.is_terminal:
+    # One that cannot go back draws nothing anew.
+    if not console.is_terminal or console.is_dumb_terminal:
         state = read_all(tail)
         console.print(render(view_of(state), layers(state), say, console.width, console.height))
         return

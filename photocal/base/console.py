@@ -309,6 +309,9 @@ def run(app: Callable[..., Any], texts: Callable[[str], "Texts"]) -> None:
         language = spoken_to(sys.argv[1:])
         return text if language == "en" else texts(language).helped(text)
 
+    # Into a terminal or file of another encoding goes a question mark for a sign that it does not have.
+    if isinstance(sys.stdout, io.TextIOWrapper) and not sys.stdout.encoding.lower().startswith("utf"):
+        sys.stdout.reconfigure(errors="replace")
     # At its end the interpreter would look at every object for half a second; nothing is left to be freed.
     atexit.register(gc.freeze)
     try:
@@ -342,7 +345,8 @@ def run(app: Callable[..., Any], texts: Callable[[str], "Texts"]) -> None:
 
 def _end(failure: PhotocalError, said: Callable[[str], str]) -> NoReturn:
     """Say in one line, and by the exit code, what went wrong."""
-    sys.stderr.write(error_lines(failure, said))
+    # Nowhere to say it (`2>&-`) is no failure of its own.
+    typer.echo(error_lines(failure, said), err=True, nl=False)
     sys.exit(failure.exit_code)
 
 
@@ -369,7 +373,7 @@ def numbers_of(text: str, option: str, form: str) -> list[float]:
 def answer(as_json: bool, figures: Callable[[], Any], text: Callable[[], str]) -> None:
     """Print an answer for a program or for a person; lines wider than a terminal go on below, indented."""
     said = answered(as_json, figures, text)
-    if not as_json and sys.stdout.isatty():
+    if not as_json and sys.stdout is not None and sys.stdout.isatty():
         said = "\n".join(_folded(line, shutil.get_terminal_size().columns) for line in said.split("\n"))
     typer.echo(said)
 

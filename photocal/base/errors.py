@@ -51,7 +51,8 @@ class PhotocalError(Exception):
 def reason(failure: Exception) -> str:
     """Say why the system refused, without its number."""
     told = getattr(failure, "strerror", None) or re.sub(r"\[Errno -?\d+\] ", "", str(failure))
-    return told[:1].lower() + told[1:]
+    # Python adds the address that a server was to have; the place of the failure names it.
+    return (told[:1].lower() + told[1:]).partition(" (while attempting to bind")[0]
 
 
 class InputNotFoundError(PhotocalError):

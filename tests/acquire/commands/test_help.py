@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 import subprocess
 import sys
@@ -246,7 +247,6 @@ def test_an_answer_goes_on_below_in_a_narrow_terminal(
     acquire: Acquire, demo_flight: bytes, tmp_path: Path, width: int
 ) -> None:
     import fcntl
-    import os
     import pty
     import struct
     import termios
@@ -276,3 +276,44 @@ def test_an_answer_goes_on_below_in_a_narrow_terminal(
     assert shown.decode().split() == whole.split()
     # Names of files and hashes stay whole.
     assert [line for line in lines if len(line) > width and len(line.split()) > 1] == []
+
+
+def test_the_page_is_opened_in_the_language(acquire: Acquire, demo_flight: bytes, tmp_path: Path) -> None:
+    recording, log = tmp_path / "a.tlog", tmp_path / "a.mcap"
+    recording.write_bytes(demo_flight)
+    assert acquire("import", recording, "-o", log).returncode == 0
+    command = [sys.executable, "-m", "acquire", "monitor", str(log), "--page", "--address", "127.0.0.1:0"]
+    with subprocess.Popen([*command, "--lang", "pt-BR"], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        told = process.stdout.readline()
+        process.terminate()
+    assert re.fullmatch(r"abra http://127\.0\.0\.1:\d+/\?lang=pt-BR\n", told)
+
+
+def test_a_log_without_data_is_not_told_as_well(
+    acquire: Acquire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = tmp_path / "a.mcap"
+    log.write_bytes(b"")
+    assert acquire("monitor", log, "--lang", "en").stdout.startswith("· no data yet  a.mcap")
+    assert acquire("monitor", log, "--lang", "pt-BR").stdout.startswith("· ainda sem dados  a.mcap")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="terminals of another encoding are of POSIX")
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_signs_that_an_encoding_does_not_have_end_nothing(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"")
+    command = [sys.executable, "-m", "acquire", "monitor", str(tmp_path / "a.mcap"), "--lang", "pt-BR"]
+    done = subprocess.run(
+        command, env=dict(os.environ) | {"PYTHONIOENCODING": encoding}, capture_output=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert "ainda sem dados" in done.stdout.decode(encoding)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="file descriptors are closed by a shell of POSIX")
+def test_closed_streams_keep_the_exit_code(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"")
+    for redirection, code in ((">&-", 4), ("2>&-", 4), ("--help >&-", 0)):
+        line = f"'{sys.executable}' -m acquire info '{tmp_path / 'a.mcap'}' {redirection}"
+        assert subprocess.run(["sh", "-c", line], capture_output=True, check=False).returncode == code
