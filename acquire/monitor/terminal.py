@@ -182,7 +182,7 @@ def _packed(name: Text, parts: Sequence[Text], width: int) -> list[Text]:
 
 
 def _head(view: PageView, say: Texts) -> RenderableType:
-    line = Table.grid(expand=True)
+    line = Table.grid(expand=True, padding=(0, 1, 0, 0))
     line.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
     line.add_column(justify="right", no_wrap=True)
     name = Text.assemble(_word(view.overall, say), "  ", view.file)
@@ -233,7 +233,7 @@ def _rest(view: PageView, say: Texts) -> list[_Line]:
         if link in vehicles:
             height_m = vehicles[link]["height_m"]
             parts.append(_word(vehicles[link]["mode"], say))
-            parts += [] if height_m is None else [Text(f"{height_m:.0f} m", style="bold")]
+            parts += [] if height_m is None else [Text(f"{round(height_m)} m", style="bold")]
         parts += [_word(batteries[link], say)] if link in batteries else []
         if link in clocks:
             parts.append(Text.assemble(say("monitor.clock"), " ", _word(clocks[link], say)))

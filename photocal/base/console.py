@@ -103,6 +103,7 @@ class _Context(typer.Context):
             return said(whole) + gap + re.sub(r"default(?=: )|required", lambda found: said(found[0]), limits)
 
         def paragraphs(whole: str) -> str:
+            """Say what a command does."""
             return "\n\n".join(said(" ".join(one.split())) for one in whole.split("\n\n"))
 
         formatter.write_usage = lambda program, line="", _=None: usage(
@@ -298,11 +299,13 @@ def run(app: Callable[..., Any], texts: Callable[[str], "Texts"]) -> None:
     """
 
     def refused(line: str) -> str:
+        """Say a refusal in the language of the person."""
         from photocal.base.sentences import spoken_to
 
         return texts(spoken_to(sys.argv[1:])).refused(line)
 
     def helped(text: str) -> str:
+        """Say a text of the help."""
         from photocal.base.sentences import spoken_to
 
         # The help in English answers without reading any texts.

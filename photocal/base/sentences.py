@@ -167,8 +167,9 @@ def _pattern(english: str, said: str) -> re.Pattern[str]:
     counted = set(re.findall(r"\{(\w+):", said))
 
     def place(found: re.Match[str]) -> str:
-        """Say what may stand in a place."""
-        return f"(?P<{found[1]}>{'0|[1-9][0-9]*' if found[1] in counted else '.+?'})"
+        """Say what may stand in a place; the name of a link has no blanks, or stands in quotation marks."""
+        kind = r"'.*?'|[^\s:]+" if found[1] == "link" else "0|[1-9][0-9]*" if found[1] in counted else ".+?"
+        return f"(?P<{found[1]}>{kind})"
 
     return re.compile(re.sub(r"\\{(\w+)\\}", place, re.escape(english)))
 

@@ -149,6 +149,13 @@ def test_counts_are_singular_and_plural_and_decimals_have_a_comma() -> None:
     lost = "rover is lost: the caster refuses user and password"
     assert PORTUGUESE.stored(lost) == "rover perdido: o caster recusa usuário e senha"
     assert texts("en").stored(lost) == lost
+    # A name of a link ends at the first blank, whatever has colons behind it.
+    found = "vehicle has an autopilot: system 1, component 1"
+    assert PORTUGUESE.stored(found) == "vehicle tem um piloto automático: sistema 1, componente 1"
+    # Why the system refused.
+    assert PORTUGUESE.stored("rover is lost: address already in use") == (
+        "rover perdido: já está em uso por outro programa"
+    )
     # A reason of a device stays as it is told.
     assert PORTUGUESE.stored("rover is not configured: NAK") == "rover não está configurado: NAK"
 

@@ -273,7 +273,7 @@ def test_alarms_of_the_recorder_and_texts_of_the_vehicle_are_passed_on() -> None
 
 
 def test_a_log_that_does_not_grow_is_told_and_its_growth_too() -> None:
-    state = RecordingState()
+    state = RecordingState(first_ns=START, last_ns=START)
     sizes = [100, 200, 300, 300, 300, 300, 300, 300, 400, 500]
     texts = []
     for second, size in enumerate(sizes):
