@@ -24,7 +24,7 @@ def import_(
     output: Annotated[Path, option("Flight log to write (.mcap).", "-o", "--output")],
     files: Annotated[
         list[Path] | None,
-        argument("Recordings: .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg, .mrk; gzip too.", metavar="FILE"),
+        argument("Recordings: .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg, .mrk; also gzipped.", metavar="FILE"),
     ] = None,
     link: Annotated[
         list[str] | None, option("Recording with the name of its link; may be repeated.", metavar="NAME=FILE")
@@ -182,14 +182,16 @@ def _link(link: dict[str, Any], say: Texts, *, types: bool) -> list[str]:
 
 
 def _row(kind: str, frames: str, rate: str, gap: str) -> str:
-    return f"{kind:<34} {frames:>8} {rate:>9} {gap:>14}"
+    return f"{kind:<33} {frames:>9} {rate:>9} {gap:>14}"
 
 
 def replay(
     log: Log,
-    to: Annotated[str, option("Receiver: udp://HOST:PORT, tcp://HOST:PORT (waits for a connection) or pty.")],
+    to: Annotated[
+        str, option("Destination: udp://HOST:PORT, tcp://HOST:PORT (waits for a connection) or pty.")
+    ],
     link: Link = None,
-    speed: Annotated[float, option("Speed factor; 0: as fast as the receiver accepts.", min=0)] = 1.0,
+    speed: Annotated[float, option("Speed factor; 0: as fast as the destination accepts.", min=0)] = 1.0,
     language: Language = "",
     as_json: AsJson = False,
 ) -> None:

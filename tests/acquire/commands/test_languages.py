@@ -187,6 +187,22 @@ def test_no_line_of_info_is_english(acquire: Acquire, demo_flight: bytes, tmp_pa
     assert portuguese[0] == "veredito: completo"
 
 
+@pytest.mark.parametrize("language", ["en", "pt-BR"])
+def test_heads_of_a_table_stand_above_its_figures(
+    acquire: Acquire, demo_flight: bytes, tmp_path: Path, language: str
+) -> None:
+    recording, log = tmp_path / "voo.tlog", tmp_path / "voo.mcap"
+    recording.write_bytes(demo_flight)
+    acquire("import", recording, "-o", log)
+    lines = acquire("info", log, "--types", "--lang", language).stdout.splitlines()
+    head = next(n for n, line in enumerate(lines) if line.split()[:1] == [texts(language)("info.type")])
+    # Each column ends below its head.
+    heads = [texts(language)(f"info.{key}") for key in ("frames", "rate_hz", "longest_gap_s")]
+    ends = [lines[head].index(one) + len(one) for one in heads]
+    for line in lines[head + 1 : head + 4]:
+        assert all(line[end - 1].isdigit() and line[end : end + 1] in ("", " ") for end in ends), line
+
+
 @pytest.mark.parametrize("asked", [["--lang", "pt-BR"], []])
 def test_a_refusal_is_said_in_the_language(
     acquire: Acquire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: list[str]
