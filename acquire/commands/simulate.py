@@ -6,7 +6,16 @@ from typing import Annotated
 import typer
 
 from acquire.commands.texts import texts
-from photocal.base.console import AsJson, Language, answer, application, argument, option, progress
+from photocal.base.console import (
+    AsJson,
+    Language,
+    answer,
+    application,
+    argument,
+    option,
+    progress,
+    refuse_before,
+)
 from photocal.base.errors import ConfigurationError, OutputError
 from photocal.base.sentences import spoken
 
@@ -38,9 +47,7 @@ def simulate(
     """
     if context.invoked_subcommand is not None:
         if output is not None or language or as_json:
-            raise ConfigurationError(
-                "an option comes before the command", f"put it after {context.invoked_subcommand}"
-            )
+            refuse_before(context)
         return
     if output is None:
         raise ConfigurationError("nothing to write", "give -o FILE.tlog, or a command, see --help")

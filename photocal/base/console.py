@@ -193,12 +193,6 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
-def _of_program(
-    version: Annotated[bool, typer.Option("--version", help="Show the version.", callback=_version)] = False,
-) -> None:
-    del version
-
-
 def option(text: str, *names: str, **settings: Any) -> Any:
     """Describe an option of a command: its help, and its names where they are not that of the parameter."""
     return typer.Option(*names, help=text, **settings)
@@ -264,6 +258,23 @@ AsJson = Annotated[bool, option("Print the figures as JSON.", "--json")]
 Language = Annotated[
     str, option("Language of the texts: en or pt-BR; default: that of LANG.", "--lang", "--language")
 ]
+
+
+def _of_program(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Show the version.", callback=_version)] = False,
+    language: Language = "",
+) -> None:
+    del version
+    # The help has been printed by now, in that language.
+    if language:
+        refuse_before(context)
+
+
+def refuse_before(context: typer.Context) -> None:
+    """Refuse an option of a command that stands before it."""
+    what, remedy = "an option comes before the command", f"put it after {context.invoked_subcommand}"
+    raise ConfigurationError(what, remedy)
 
 
 @dataclass(frozen=True, kw_only=True)

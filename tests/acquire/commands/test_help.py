@@ -87,6 +87,8 @@ def test_no_help_is_english_or_too_wide(
 def test_the_option_asks_for_the_language_of_the_help(acquire: Acquire) -> None:
     assert "\nOpções:\n" in acquire("info", "--help", "--lang", "pt-BR").stdout
     assert "\nOptions:\n" in acquire("info", "--help", "--lang", "en").stdout
+    for called in (["--help", "--lang", "pt-BR"], ["--lang", "pt-BR", "--help"]):
+        assert "\nComandos:\n" in acquire(*called).stdout
     # What is to be typed keeps its point.
     assert "[padrão: 1.0; x>=0]" in acquire("replay", "--help", "--lang", "pt-BR").stdout
 
@@ -207,6 +209,7 @@ def test_simulated_flights_answer_in_the_language(acquire: Acquire, tmp_path: Pa
             ["info", "none.mcap"],
             f"none.mcap: {MISSING}",
         ),
+        (["--lang", "pt-BR", "info", "a.mcap"], "uma opção está antes do comando; ponha-a depois de info"),
         (["info", "a.mcap", "--lang", "xx"], "não há textos no idioma 'xx'; escolha entre en, pt-BR"),
         (
             ["simulate", "serve", "."],
