@@ -336,6 +336,9 @@ def run(app: Callable[..., Any], texts: Callable[[str], "Texts"]) -> None:
         for line in told.getvalue().splitlines():
             sys.stderr.write(f"{helped(line)}\n")
         sys.exit(misuse.exit_code)
+    except typer.Abort:
+        # Ctrl-C, as older typer tells it.
+        sys.exit(130)
     except PhotocalError as failure:
         _end(failure, refused)
     except ModuleNotFoundError as missing:
