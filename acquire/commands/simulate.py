@@ -201,6 +201,10 @@ def serve(
                 [*(f"{name}: {url}" for name, url in urls.items()), f"acquire record {settings}"]
             ),
         )
+        if now:
+            typer.echo(say("simulate.begins", seconds=round(start_s - time.time())), err=True)
+        elif waits:
+            typer.echo(say("simulate.waits"), err=True)
         with progress(say("progress.flying"), end_s, say.messages["progress.left"]) as advance:
             shown = 0.0
             while shown < end_s:

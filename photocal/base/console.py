@@ -118,6 +118,8 @@ class _Context(typer.Context):
 
 
 class _Command(TyperCommand):
+    """A command whose help is in the language of the person."""
+
     context_class = _Context
 
 
@@ -348,10 +350,6 @@ def run(app: Callable[..., Any], texts: Callable[[str], "Texts"]) -> None:
         # A recorder is installed without what only the processing needs.
         what = f"the package {name} is missing"
         _end(ProgramMissingError(what, "run: pip install 'photocal[process]'"), refused)
-    except BrokenPipeError:
-        # The reader of our output went away (`| head`): nothing is left to say.
-        sys.stderr.close()
-        sys.exit(0)
     except OSError as refusal:
         _end(of_system(refusal), refused)
     except UnicodeEncodeError as failure:

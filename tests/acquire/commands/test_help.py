@@ -196,6 +196,28 @@ def test_simulated_flights_answer_in_the_language(acquire: Acquire, tmp_path: Pa
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals are of POSIX")
+@pytest.mark.parametrize("language", ["en", "pt-BR"])
+def test_a_simulated_flight_tells_what_it_waits_for(tmp_path: Path, language: str) -> None:
+    command = [sys.executable, "-m", "acquire", "simulate", "serve", "small", "--lang", language]
+    with subprocess.Popen(
+        [*command, "--record", str(tmp_path / "r.toml")],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+    ) as process:
+        assert process.stderr is not None
+        told = process.stderr.readline()
+        process.terminate()
+    assert (
+        told
+        == {
+            "en": "the flight begins when the recorder has connected\n",
+            "pt-BR": "o voo começa quando o gravador se conectar\n",
+        }[language]
+    )
+
+
 @pytest.mark.parametrize(
     ("called", "said"),
     [
