@@ -207,8 +207,9 @@ def replay(
     say = texts(spoken(language))
     name = replaying.choose_link(log, link)
     with open_sink(to) as (sink, address):
-        waits = "" if address.startswith("udp") else say("replay.waits")
-        typer.echo(say("replay.begins", link=name, address=address, waits=waits), err=True)
+        typer.echo(say("replay.begins", link=name, address=address), err=True)
+        if not address.startswith("udp:"):
+            typer.echo(say("replay.waits"), err=True)
         sent = replaying.replay(log, name, sink, speed, time.monotonic, time.sleep)
     answer(
         as_json,
