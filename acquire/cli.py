@@ -1,8 +1,12 @@
 """The command `acquire`: a list of its commands."""
 
 import os
+from typing import TYPE_CHECKING
 
 from photocal.base.console import application, run
+
+if TYPE_CHECKING:
+    from photocal.base.sentences import Texts
 
 COMMANDS = {
     "check": "acquire.commands.recording:check",
@@ -22,14 +26,14 @@ def main() -> None:
     """Run the command line."""
     # Nothing here multiplies large matrices: threads for that would cost every command a start.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    run(app, refused)
+    run(app, texts)
 
 
-def refused(line: str) -> str:
-    """Say a refusal in the language that was asked for, see `acquire.commands.texts.refused`."""
-    from acquire.commands import texts
+def texts(language: str) -> "Texts":
+    """Return all texts of a language, see `acquire.commands.texts.texts`."""
+    from acquire.commands import texts as read
 
-    return texts.refused(line)
+    return read.texts(language)
 
 
 if __name__ == "__main__":

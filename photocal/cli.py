@@ -1,9 +1,12 @@
 """The command `photocal`: a list of its commands; the module of each is imported when it is asked for."""
 
-import sys
+from typing import TYPE_CHECKING
 
 from photocal.base.console import application
 from photocal.base.console import run as run_application
+
+if TYPE_CHECKING:
+    from photocal.base.sentences import Texts
 
 COMMANDS = {
     "new": "photocal.commands.project:new",
@@ -47,15 +50,11 @@ app = application(
 
 def main() -> None:
     """Run the command line."""
-    run_application(app, refused)
+    run_application(app, texts)
 
 
-def refused(line: str) -> str:
-    """Say a refusal in the language that was asked for, else in that of the environment.
-
-    Programs, which ask for JSON, are told in English.
-    """
-    from photocal.base.sentences import spoken_to
+def texts(language: str) -> "Texts":
+    """Return all texts of a language, see `photocal.findings.texts.catalogue`."""
     from photocal.findings.texts import catalogue
 
-    return catalogue(spoken_to(sys.argv[1:])).refused(line)
+    return catalogue(language)

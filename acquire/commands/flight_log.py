@@ -15,31 +15,32 @@ from photocal.base.sentences import Texts, spoken
 if TYPE_CHECKING:
     from acquire.importing.importer import Imported
 
-Log = Annotated[Path, argument("Flight log (.mcap).")]
-Link = Annotated[str | None, option("Link, when the log has several.")]
-Types = Annotated[bool, option("List frames by type, and the topics of the log.", "--types")]
+Log = Annotated[Path, argument("Flight log (.mcap).", metavar="FLIGHT.mcap")]
+Link = Annotated[str | None, option("Name of the link, needed where the log has several.", metavar="NAME")]
+Types = Annotated[bool, option("Also list frames by type, and the topics of the log.", "--types")]
 
 
 def import_(
     output: Annotated[Path, option("Flight log to write (.mcap).", "-o", "--output")],
     files: Annotated[
         list[Path] | None,
-        argument("Recordings: .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg, .mrk; gzip too.", metavar="FILE"),
+        argument("Recordings: .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg, .mrk; also gzipped.", metavar="FILE"),
     ] = None,
     link: Annotated[
-        list[str] | None, option("Recording with the name of its link.", metavar="NAME=FILE")
+        list[str] | None, option("Recording with the name of its link; may be repeated.", metavar="NAME=FILE")
     ] = None,
     date: Annotated[
-        str | None, option("UTC date of the beginning of streams without a date.", metavar="YYYY-MM-DD")
+        str | None, option("UTC date of the first data of streams that hold no date.", metavar="YYYY-MM-DD")
     ] = None,
     language: Language = "",
     as_json: AsJson = False,
 ) -> None:
-    """Import recordings into one flight log, raw first.
+    """Import recordings into one flight log: raw frames, and what is decoded from them.
 
     Example: `acquire import flight.tlog --link rover=rover.ubx --link base=base.ubx.gz -o flight.mcap`
     """
     from acquire.importing.importer import import_recordings
+    from photocal.base.files import refuse_input_as_output
 
     say = texts(spoken(language))
     named = [_named(text) for text in link or []]
@@ -47,8 +48,10 @@ def import_(
     near_ns = _noon_ns(date)
     if not named and not unnamed:
         raise ConfigurationError("no recording was named", "give FILE or --link NAME=FILE")
-    total = sum(p.stat().st_size for p in [*unnamed, *(p for _, p in named)] if p.is_file())
-    with progress("importing", total) as advance:
+    paths = [*unnamed, *(path for _, path in named)]
+    refuse_input_as_output(output, *paths)
+    total = sum(path.stat().st_size for path in paths if path.is_file())
+    with progress(say("progress.importing"), total, say.messages["progress.left"]) as advance:
         results = import_recordings(named, unnamed, output, advance, near_ns)
     for result in results:
         if result.warning:
@@ -179,14 +182,16 @@ def _link(link: dict[str, Any], say: Texts, *, types: bool) -> list[str]:
 
 
 def _row(kind: str, frames: str, rate: str, gap: str) -> str:
-    return f"{kind:<34} {frames:>8} {rate:>9} {gap:>14}"
+    return f"{kind:<33} {frames:>9} {rate:>9} {gap:>14}"
 
 
 def replay(
     log: Log,
-    to: Annotated[str, option("udp://HOST:PORT, tcp://HOST:PORT (waits for a reader) or pty.")],
+    to: Annotated[
+        str, option("Destination: udp://HOST:PORT, tcp://HOST:PORT (waits for a connection) or pty.")
+    ],
     link: Link = None,
-    speed: Annotated[float, option("Speed factor; 0: as fast as the receiver accepts.", min=0)] = 1.0,
+    speed: Annotated[float, option("Speed factor; 0: as fast as the destination accepts.", min=0)] = 1.0,
     language: Language = "",
     as_json: AsJson = False,
 ) -> None:
@@ -203,6 +208,8 @@ def replay(
     name = replaying.choose_link(log, link)
     with open_sink(to) as (sink, address):
         typer.echo(say("replay.begins", link=name, address=address), err=True)
+        if not address.startswith("udp:"):
+            typer.echo(say("replay.waits"), err=True)
         sent = replaying.replay(log, name, sink, speed, time.monotonic, time.sleep)
     answer(
         as_json,
@@ -218,7 +225,7 @@ def replay(
 
 
 def recover(
-    log: Annotated[Path, argument("Flight log (.mcap); it is not changed.")],
+    log: Annotated[Path, argument("Flight log (.mcap); it is not changed.", metavar="FLIGHT.mcap")],
     output: Annotated[
         Path | None, option("Repaired log (default: NAME.recovered.mcap).", "-o", "--output")
     ] = None,
@@ -230,13 +237,11 @@ def recover(
     Example: `acquire recover flight.mcap -o repaired.mcap`
     """
     from acquire.importing.recovery import recover as repair
+    from photocal.base.files import refuse_input_as_output
 
     say = texts(spoken(language))
     target = output or log.with_suffix(".recovered.mcap")
-    if target.resolve() == log.resolve():
-        raise ConfigurationError(
-            "the repaired log would overwrite the damaged one", "name another", where=target
-        )
+    refuse_input_as_output(target, log)
     result = repair(log, target)
     answer(
         as_json,
@@ -272,8 +277,10 @@ def export(
     Example: `acquire export flight.mcap --link vehicle -o flight.tlog`
     """
     from acquire.log.replay import choose_link, export_tlog
+    from photocal.base.files import refuse_input_as_output
 
     say = texts(spoken(language))
+    refuse_input_as_output(output, log)
     name = choose_link(log, link)
     count = export_tlog(log, name, output)
     answer(

@@ -18,6 +18,7 @@ from photocal.base.console import (
     argument,
     error_lines,
     option,
+    progress,
     write_through,
 )
 from photocal.base.sentences import Texts, spoken
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 
 def check(
-    configuration: Annotated[Path, argument("Configuration (TOML) of the recording.")],
+    configuration: Annotated[Path, argument("Configuration (TOML) of the recording.", metavar="CONFIG.toml")],
     seconds: Annotated[float, option("How long to listen.", min=0.1, max=600)] = 5.0,
     language: Language = "",
     as_json: Annotated[bool, option("Print the findings as JSON.", "--json")] = False,
@@ -56,7 +57,8 @@ def check(
     host, dialect = Host(), ardupilotmega()
     positions = caster_positions(chosen, dialect)
     sources = sources_of(chosen, positions, host.clock_ns)
-    checks = preflight.check(chosen, configuration.parent, sources, positions, seconds, host, dialect)
+    with progress(say("progress.listening"), None, say.messages["progress.left"]):
+        checks = preflight.check(chosen, configuration.parent, sources, positions, seconds, host, dialect)
     answer(
         as_json,
         lambda: preflight.as_json(checks),
@@ -75,11 +77,13 @@ def _checked(one: Check, say: Texts) -> str:
 
 
 def record(
-    configuration: Annotated[Path, argument("Configuration (TOML): [recording], [[link]], [site].")],
+    configuration: Annotated[
+        Path, argument("Configuration (TOML): [recording], [[link]], [site].", metavar="CONFIG.toml")
+    ],
     language: Language = "",
     as_json: Annotated[bool, option("Print the figures as JSON at the end.", "--json")] = False,
 ) -> None:
-    """Record all links until Ctrl-C; the file is safe on disk at least once a second.
+    """Record all links until Ctrl-C; data are flushed to disk at least once a second.
 
     Example: `acquire record flight.toml`
     """
@@ -144,7 +148,10 @@ def _last_words(stream: TextIO, text: str) -> None:
 
 def monitor(
     source: Annotated[
-        Path, argument("Flight log (.mcap), folder of a recording, or its configuration (.toml).")
+        Path,
+        argument(
+            "Flight log (.mcap), folder of a recording, or its configuration (.toml).", metavar="SOURCE"
+        ),
     ],
     page: Annotated[bool, option("Show it as a local web page instead.", "--page")] = False,
     address: Address = "127.0.0.1:8740",
@@ -155,6 +162,7 @@ def monitor(
     ] = False,
     foxglove_address: Annotated[str, option("HOST:PORT for Foxglove.")] = "127.0.0.1:8765",
     mute: Annotated[bool, option("Do not ring the bell of the terminal.", "--mute")] = False,
+    language: Language = "",
     as_json: Annotated[bool, option("Print the state once as JSON.", "--json")] = False,
 ) -> None:
     """Show fix, satellites, corrections, rates, pictures, disk, clock and alarms of a recording live.
@@ -166,6 +174,7 @@ def monitor(
     from acquire.monitor.tail import read_all, tail_of
     from acquire.monitor.view_model import view_of
 
+    say = texts(spoken(language))
     tail = tail_of(source)
     if as_json:
         answer(True, lambda: view_of(read_all(tail)).as_json(), str)
@@ -174,14 +183,16 @@ def monitor(
         from photocal.base.web import read_address
 
         with serving_foxglove(read_address(foxglove_address)) as (listen, url):
-            typer.echo(f"Foxglove: open a connection to {url}", err=True)
-            _show(tail, address if page else None, mute, listen, debrief, plan)
+            typer.echo(say("monitor.foxglove", url=url), err=True)
+            _show(tail, say, language, address if page else None, mute, listen, debrief, plan)
     else:
-        _show(tail, address if page else None, mute, lambda _: None, debrief, plan)
+        _show(tail, say, language, address if page else None, mute, lambda _: None, debrief, plan)
 
 
 def _show(
     tail: Tail,
+    say: Texts,
+    language: str,
     address: str | None,
     mute: bool,
     listen: Callable[[list[LoggedMessages]], None],
@@ -194,19 +205,25 @@ def _show(
 
     stop = stopped_by_signals()
     if address is None:
-        _in_terminal(tail, stop, mute, listen)
+        _in_terminal(tail, say, stop, mute, listen)
         return
     from acquire.monitor.page import Latest, application
     from photocal.base.web import read_address, serving
 
     latest = Latest(lambda: tail.path.parent if tail.path else None, debrief, plan)
     with serving(application(latest), read_address(address)) as url:
-        typer.echo(f"open {url}")
+        # Else the browser's language counts, also behind a token.
+        asked = f"?lang={language}" if language and "?" not in url else ""
+        typer.echo(say("monitor.open", url=url + asked))
         follow(tail, latest.publish, stop, listen)
 
 
 def _in_terminal(
-    tail: Tail, stop: threading.Event, mute: bool, listen: Callable[[list[LoggedMessages]], None]
+    tail: Tail,
+    say: Texts,
+    stop: threading.Event,
+    mute: bool,
+    listen: Callable[[list[LoggedMessages]], None],
 ) -> None:
     from rich.console import Console
     from rich.live import Live
@@ -216,9 +233,10 @@ def _in_terminal(
     from acquire.monitor.view_model import layers, view_of
 
     console = Console()
-    if not console.is_terminal:
+    # One that cannot go back draws nothing anew.
+    if not console.is_terminal or console.is_dumb_terminal:
         state = read_all(tail)
-        console.print(render(view_of(state), layers(state), console.width, console.height))
+        console.print(render(view_of(state), layers(state), say, console.width, console.height))
         return
     announced = 0
     with Live(console=console, screen=True, auto_refresh=False) as live:
@@ -229,6 +247,8 @@ def _in_terminal(
             if not mute and any(a.number > announced and a.level == "bad" for a in state.alarms):
                 console.bell()
             announced = state.raised
-            live.update(render(view_of(state), layers(state), console.width, console.height), refresh=True)
+            live.update(
+                render(view_of(state), layers(state), say, console.width, console.height), refresh=True
+            )
 
         follow(tail, show, stop, listen)

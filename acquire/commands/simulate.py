@@ -5,8 +5,19 @@ from typing import Annotated
 
 import typer
 
-from photocal.base.console import AsJson, answer, application, argument, option, progress
+from acquire.commands.texts import texts
+from photocal.base.console import (
+    AsJson,
+    Language,
+    answer,
+    application,
+    argument,
+    option,
+    progress,
+    refuse_before,
+)
 from photocal.base.errors import ConfigurationError, OutputError
+from photocal.base.sentences import spoken
 
 FAULTS = (
     "Switch on a fault; may be repeated: wrong_antenna_height, base_off, event_time_base, late_shutter, "
@@ -27,6 +38,7 @@ def simulate(
     output: Annotated[
         Path | None, option("Telemetry log of a short flight to write (.tlog).", "-o", "--output")
     ] = None,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Write the telemetry log of the flight `small`, which never took place: the same bytes each time.
@@ -34,10 +46,8 @@ def simulate(
     Example: `acquire simulate -o flight.tlog`
     """
     if context.invoked_subcommand is not None:
-        if output is not None or as_json:
-            raise ConfigurationError(
-                "an option comes before the command", f"put it after {context.invoked_subcommand}"
-            )
+        if output is not None or language or as_json:
+            refuse_before(context)
         return
     if output is None:
         raise ConfigurationError("nothing to write", "give -o FILE.tlog, or a command, see --help")
@@ -47,6 +57,7 @@ def simulate(
     from acquire.simulate.world.world import make_world
     from photocal.base.files import output_file
 
+    say = texts(spoken(language))
     world = make_world(read_configuration(FLIGHTS / "small.toml"))
     log = telemetry_log(world, vehicle_wire(world, world.random("wires")))
     with output_file(output) as aside:
@@ -54,7 +65,7 @@ def simulate(
     answer(
         as_json,
         lambda: {"schema": "acquire.simulate/1", "output": str(output), "bytes": len(log), "label": LABEL},
-        lambda: f"wrote {output}, {len(log)} bytes: {LABEL}",
+        lambda: say("simulate.wrote", path=output, size=len(log)),
     )
 
 
@@ -65,43 +76,53 @@ def flight(
             "Plan of the flight; `small`, `survey` and `drone` are shipped.", metavar="CONFIG.toml|NAME"
         ),
     ],
-    output: Annotated[Path, option("Folder to make: site/ and truth/.", "-o", "--output")],
+    output: Annotated[Path, option("Folder to make, with site/ and truth/.", "-o", "--output")],
     level: Annotated[
-        str | None, option("pictures, observations, block or card; overrides the configuration.")
+        str | None, option("What is simulated: pictures, observations, block or card; overrides the plan.")
     ] = None,
     observations_only: Annotated[
         bool, option("The same as --level block: fast, for statistics.", "--observations-only")
     ] = False,
-    seed: Annotated[int | None, option("Random seed; overrides the configuration.", min=0)] = None,
+    seed: Annotated[int | None, option("Random seed; overrides the plan.", min=0)] = None,
     fault: Annotated[list[str] | None, option(FAULTS)] = None,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Simulate a survey flight: what a surveyor brings home in site/, the truth in truth/.
 
     Example: `acquire simulate flight survey -o flight`
     """
-    from acquire.simulate.world.configuration import read_configuration
+    from acquire.simulate.world.configuration import Level, SimulatedFault, read_configuration
     from acquire.simulate.world.site import simulate_flight
     from photocal.base.files import output_folder
 
     if output.is_dir() and any(output.iterdir()):
         # Files of another flight between the new ones would be taken for its own.
         raise OutputError("is not empty", "name a new folder", where=output)
+    for given, kinds in ((level, Level), *((one, SimulatedFault) for one in fault or [])):
+        if given is not None and given not in list(kinds):
+            raise ConfigurationError(f"{given!r} is not known", f"choose one of {', '.join(kinds)}")
     chosen = {
         "level": "block" if observations_only else level,
         "seed": seed,
         "faults": frozenset(fault) if fault else None,
     }
-    given = read_configuration(configuration, {k: v for k, v in chosen.items() if v is not None})
-    with progress("simulating", 1.0) as advance, output_folder(output) as aside:
-        figures = simulate_flight(given, aside, advance)
+    say = texts(spoken(language))
+    left = say.messages["progress.left"]
+    plan = read_configuration(configuration, {k: v for k, v in chosen.items() if v is not None})
+    with progress(say("progress.simulating"), 1.0, left) as advance, output_folder(output) as aside:
+        figures = simulate_flight(plan, aside, advance)
     answer(
         as_json,
         lambda: {"schema": "acquire.simulate.flight/1", "output": str(output), **figures},
-        lambda: (
-            f"wrote {output}: {figures['images']} images, {figures['control']} control and "
-            f"{figures['check']} check points, {figures['duration_s']:.0f} s"
-            + (f"; faults: {', '.join(figures['faults'])}" if figures["faults"] else "")
+        lambda: say(
+            "simulate.flight",
+            path=output,
+            images=figures["images"],
+            control=figures["control"],
+            check=figures["check"],
+            duration=f"{figures['duration_s']:.0f}",
+            faults=say("simulate.faults", names=", ".join(figures["faults"])) if figures["faults"] else "",
         ),
     )
 
@@ -129,6 +150,7 @@ def serve(
         option("For practice: fly the plan with all clocks set to now; begins in a minute.", "--now"),
     ] = False,
     linger: Annotated[float, option("Seconds to stay after the end.", min=0)] = 3.0,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Play a simulated flight on real ports: the vehicle by UDP, receivers on pseudo terminals.
@@ -148,6 +170,7 @@ def serve(
     from acquire.simulate.playback import FlightClock, read_flight
     from photocal.base.files import output_file
 
+    say = texts(spoken(language))
     start_s = time.time() + lead_s
     if now and speed != 1:
         raise ConfigurationError("with --now the clocks cannot run faster", "leave out --speed or --now")
@@ -178,12 +201,16 @@ def serve(
                 [*(f"{name}: {url}" for name, url in urls.items()), f"acquire record {settings}"]
             ),
         )
-        with progress("flying", end_s) as advance:
+        if now:
+            typer.echo(say("simulate.begins", seconds=round(start_s - time.time())), err=True)
+        elif waits:
+            typer.echo(say("simulate.waits"), err=True)
+        with progress(say("progress.flying"), end_s, say.messages["progress.left"]) as advance:
             shown = 0.0
             while shown < end_s:
                 time.sleep(0.05)
                 flown_s = min(max(clock.flight_s(), 0.0), end_s)
                 advance(flown_s - shown)
                 shown = flown_s
-        typer.echo(f"flown: {end_s:.0f} s", err=True)
+        typer.echo(say("simulate.flown", duration=f"{end_s:.0f}"), err=True)
         time.sleep(linger)

@@ -19,9 +19,17 @@ def texts(language: str) -> Texts:
     """
     own = read_texts("acquire.commands", "said", language)
     # Of sentences alike the first counts: those of the page leave reasons of a lost link in English.
-    messages = own | _alarms(language) | read_texts("photocal.base", "refusals", language)
+    messages = own | _alarms(language) | _shared(language)
     english = messages if language == "en" else texts("en").messages
     return Texts(language, messages["number.decimal_mark"], messages, english)
+
+
+def _shared(language: str) -> dict[str, str]:
+    """What both programs refuse, and the frame of their help."""
+    shared = read_texts("photocal.base", "refusals", language) | read_texts("photocal.base", "help", language)
+    # Why a link is lost may be told by the system.
+    of_system = {key: text for key, text in shared.items() if key.startswith("refusal.system.")}
+    return shared | {key.replace("refusal", "stored", 1): text for key, text in of_system.items()}
 
 
 def _alarms(language: str) -> dict[str, str]:

@@ -31,6 +31,7 @@ from acquire.channels.log_decoder import (
 )
 from acquire.channels.receiver import ReceiverClock, ReceiverDecoder
 from acquire.channels.vehicle import VehicleDecoder
+from acquire.log.chunk import MAGIC
 from acquire.log.writer import LogWriter
 from drivers.dataflash import DataflashFormats, DataflashFramer
 from drivers.frames import Batch, Framer, StreamFramer
@@ -132,8 +133,11 @@ def open_recording(path: Path) -> Iterator[RecordedBytes]:
     with reading(path):
         raw = path.open("rb")
     with raw:
-        if not raw.read(1):
+        head = raw.read(len(MAGIC))
+        if not head:
             raise InputNotFoundError("is empty", "name a recording that has data", where=path)
+        if head == MAGIC:
+            raise InputMalformedError("is a flight log already", "acquire info shows it", where=path)
         raw.seek(0)
         yield RecordedBytes(path, raw)
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from acquire.monitor.state import Track
 from photocal.base.arrays import Floats
-from photocal.base.errors import InputMalformedError, InputNotFoundError
+from photocal.base.errors import InputMalformedError, InputNotFoundError, reason
 
 _HEAD, _FIELDS = "QGC WPL 110", 12
 # Of MAVLink's commands those that name a place on the way: waypoint, and waypoint of a spline.
@@ -32,9 +32,8 @@ def planned_line(path: Path) -> Floats:
     try:
         head, *lines = path.read_text(encoding="utf-8-sig").strip().splitlines()
     except OSError as refusal:
-        reason = (refusal.strerror or "").lower()
         raise InputNotFoundError(
-            f"cannot be read ({reason})", "name flight.waypoints", where=path
+            f"cannot be read ({reason(refusal)})", "name flight.waypoints", where=path
         ) from refusal
     except (UnicodeDecodeError, ValueError):
         head, lines = "", []

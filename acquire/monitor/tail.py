@@ -15,7 +15,7 @@ from acquire.log.reader import LoggedMessages, LogReader, Repeats, has_end
 from acquire.monitor.reducer import state_after
 from acquire.monitor.state import ComputerState, RecordingState
 from acquire.monitor.traffic import looked
-from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError, reason
 from photocal.base.time_scales import SECOND_NS
 
 # What one step reads at most, so that a long log shows its beginning at once.
@@ -71,7 +71,7 @@ class Tail:
                 if len(chunks) == _MOST_CHUNKS:
                     break
         except OSError as refusal:
-            self.trouble = f"{self._reader.path} is missing ({(refusal.strerror or str(refusal)).lower()})"
+            self.trouble = f"{self._reader.path} is missing ({reason(refusal)})"
         except PhotocalError as refusal:
             self.trouble = str(refusal)
         return chunks

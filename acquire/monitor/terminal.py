@@ -2,6 +2,8 @@
 
 import datetime as dt
 import math
+import sys
+import textwrap
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -16,6 +18,7 @@ from acquire.monitor.view_model import MapLayer, PageView, Row, Word
 from photocal.base.arrays import Floats, Integers
 from photocal.base.console import printable
 from photocal.base.geodesy import enu_offsets
+from photocal.base.sentences import Texts
 from photocal.base.time_scales import SECOND_NS
 
 # Dots of a Braille cell by column and row (Unicode 15, chapter 21.1).
@@ -24,7 +27,7 @@ _BRAILLE_SIGNS = {"missed": ("✕", "bold red"), "station": ("▲", "green")}
 _TRACK, _PICTURE, _HERE = "blue", "bold", "bold blue"
 
 
-def braille_map(layers: Sequence[MapLayer], width: int, height: int) -> Text:
+def braille_map(layers: Sequence[MapLayer], say: Texts, width: int, height: int) -> Text:
     """Draw layers, north up."""
     # The Braille cell without dots.
     blank = 0x2800
@@ -33,7 +36,7 @@ def braille_map(layers: Sequence[MapLayer], width: int, height: int) -> Text:
     rows = height - 1
     drawn = [layer for layer in layers if len(layer.points)]
     if not drawn or width < 8 or rows < 2:
-        return Text("\n" * (rows // 2) + "no position yet".center(width), style="dim")
+        return Text("\n" * (rows // 2) + say("monitor.no_position").center(width), style="dim")
     shown = [layer for layer in drawn if layer.kind != "station"] or drawn
     places = metres(np.concatenate([layer.points for layer in shown]), drawn[0].points[0])
     low, high = places.min(axis=0), places.max(axis=0)
@@ -115,108 +118,150 @@ _SIGNS = {"good": "✓", "warn": "▲", "bad": "✕", "off": "·", "note": "–"
 _STYLES = {"good": "bold green", "warn": "bold black on yellow", "bad": "bold white on red"}
 # What has been is quieter than what is.
 _PAST = {"warn": "yellow", "bad": "bold red"}
-_LEAST_WITH_MAP, _MAP_SHARE, _LEAST_MAP = 76, 0.27, 20
+# The map stands beside figures that have the width of a common window.
+_FIGURES_WIDTH, _MAP_SHARE, _LEAST_MAP = 80, 0.27, 20
+# What a line of figures is made of: the name of a device, and what is said of it.
+_Line = tuple[str, list[Text]]
 
 
-def render(view: PageView, layers: Sequence[MapLayer], width: int, height: int) -> RenderableType:
-    """Return the view for a window."""
-    map_width = max(_LEAST_MAP, round(_MAP_SHARE * width)) if width >= _LEAST_WITH_MAP else 0
-    left = width - map_width - (2 if map_width else 0)
-    sections = _sections(view, left)
-    used = 1 + len(sections)
-    room = max(height - used - 2, 1)
-    figures = Group(*sections, _heading("alarms (UTC)"), _alarms(view.alarms, room))
-    if not map_width:
-        return Group(_head(view), figures)
-    both = Table.grid(padding=(0, 2, 0, 0))
+def render(view: PageView, layers: Sequence[MapLayer], say: Texts, width: int, height: int) -> RenderableType:
+    """Return the view for a window, in the language of `say`."""
+    # Between figures and map.
+    gap = 2
+    map_width = min(round(_MAP_SHARE * width), width - gap - _FIGURES_WIDTH)
+    left = width - map_width - gap if map_width >= _LEAST_MAP else width
+    # Beside the figures there are the head and, at least, a heading and a line of alarms.
+    sections = _sections(view, say, left)
+    if len(sections) > height - 4:
+        sections = _sections(view, say, sys.maxsize)
+    for line in sections:
+        if isinstance(line, Text):
+            line.truncate(left, overflow="ellipsis")
+    room = max(height - len(sections) - 3, 1)
+    figures = Group(*sections, _heading(say("monitor.alarms")), *(_alarms(view.alarms, say, left, room)))
+    if left == width:
+        return Group(_head(view, say), figures)
+    both = Table.grid(padding=(0, gap, 0, 0))
     both.add_column(width=left)
     both.add_column(width=map_width)
-    both.add_row(figures, braille_map(layers, map_width, height - 1))
-    return Group(_head(view), both)
+    both.add_row(figures, braille_map(layers, say, map_width, height - 1))
+    return Group(_head(view, say), both)
 
 
-def _sections(view: PageView, width: int) -> list[RenderableType]:
+def _sections(view: PageView, say: Texts, width: int) -> list[Rule | Text]:
     """Return headings and lines, each one line high."""
     # Longer names are cut, so that the figures keep their place.
     longest_name = 12
-    sections: list[RenderableType] = []
+    sections: list[Rule | Text] = []
     names = [row["name"] for row in (*view.receivers, *view.links)]
-    wide = min(max(map(len, ["disk", *names])), longest_name)
-    groups: dict[str, Sequence[str | Text]] = {
-        "fix": [_receiver(row, wide) for row in view.receivers] or ["no data from a receiver yet"],
-        "pictures": [_camera(row, wide) for row in view.cameras] or ["no view yet"],
-        "links": [_link(row, wide) for row in view.links] or ["no data on any link yet"],
-        "computer and vehicle": _rest(view, wide),
+    wide = min(max(map(len, [say("monitor.disk"), *names])), longest_name)
+    groups: dict[str, list[_Line]] = {
+        "fix": [_receiver(row, say) for row in view.receivers],
+        "pictures": [_camera(row, say) for row in view.cameras],
+        "links": [_link(row, say) for row in view.links],
+        "rest": _rest(view, say),
     }
     for heading, lines in groups.items():
-        sections.append(_heading(heading))
-        sections += [_cut(line, width) for line in lines]
+        sections.append(_heading(say(f"monitor.{heading}")))
+        for name, parts in lines:
+            sections += _packed(_name(name, wide), parts, width)
+        if not lines:
+            sections.append(Text(say(f"monitor.no_{heading}"), style="dim"))
     return sections
 
 
-def _head(view: PageView) -> RenderableType:
-    line = Table.grid(expand=True)
+def _packed(name: Text, parts: Sequence[Text], width: int) -> list[Text]:
+    """Put parts behind a name; what does not fit into the line stands below, under the first part."""
+    lines = [Text.assemble(name, parts[0])]
+    for part in parts[1:]:
+        if lines[-1].cell_len + 2 + part.cell_len <= width:
+            lines[-1] = Text.assemble(lines[-1], "  ", part)
+        else:
+            lines.append(Text.assemble(" " * name.cell_len, part))
+    return lines
+
+
+def _head(view: PageView, say: Texts) -> RenderableType:
+    line = Table.grid(expand=True, padding=(0, 1, 0, 0))
     line.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
     line.add_column(justify="right", no_wrap=True)
-    name = Text.assemble(_word(view.overall), "  ", view.file)
+    name = Text.assemble(_word(view.overall, say), "  ", view.file)
     line.add_row(name, Text(duration(view.duration_s), style="bold"))
     return line
 
 
-def _receiver(row: Row, wide: int) -> Text:
-    parts = [_name(row["name"], wide), _word(row["fix"])]
+def _receiver(row: Row, say: Texts) -> _Line:
+    parts = [_word(row["fix"], say)]
     if row["satellites"] is not None:
-        parts.append(Text(f"  {row['satellites']} sat"))
+        parts.append(Text(say("monitor.satellites", count=row["satellites"])))
     if (miss := row["horizontal_m"]) is not None:
-        parts.append(Text(f"  {miss * 100:.1f} cm" if miss < 1 else f"  {miss:.1f} m"))
+        factor, unit = (100, "cm") if miss < 1 else (1, "m")
+        parts.append(Text(f"{say.row([miss * factor], '.1f')} {unit}"))
     if row["correction_age_s"] is not None:
-        parts += [Text("  corr. "), _word(row["correction"])]
-    return Text.assemble(*parts)
+        parts.append(Text.assemble(say("monitor.corrections"), " ", _word(row["correction"], say)))
+    return row["name"], parts
 
 
-def _camera(row: Row, wide: int) -> Text:
-    counts = f"  {row['triggered']} triggered, {row['reported']} feedback" if row["triggered"] else ""
-    marks = f"  {row['time_marks']} marks" if row["time_marks"] else ""
-    return Text.assemble(_name(row["link"], wide), _word(row["state"]), counts, marks)
+def _camera(row: Row, say: Texts) -> _Line:
+    counts = {key: row[key] for key in ("triggered", "reported")}
+    told = [say("monitor.counts", **counts)] if row["triggered"] else []
+    told += [say("monitor.marks", count=row["time_marks"])] if row["time_marks"] else []
+    return row["link"], [_word(row["state"], say), *map(Text, told)]
 
 
-def _link(row: Row, wide: int) -> Text:
-    count = row["gaps"]
-    gaps = f"  {count} gap{'s' * (count > 1)} to {row['longest_gap_s']:.0f} s" if count else "  no gaps"
-    damage = f"  {size(row['damage_bytes'])} damaged" if row["damage_bytes"] else ""
-    rates = f"  {row['frames_per_s']:.1f}/s  {size(row['bytes_per_s'])}/s"
-    return Text.assemble(_name(row["name"], wide), _word(row["state"]), rates, gaps, damage)
+def _link(row: Row, say: Texts) -> _Line:
+    told = list[str]()
+    if row["frames_per_s"]:
+        told = [f"{say.row([row['frames_per_s']], '.1f')}/s", f"{size(row['bytes_per_s'], say)}/s"]
+    longest = f"{row['longest_gap_s']:.0f}"
+    told.append(
+        say("monitor.gaps", count=row["gaps"], longest=longest) if row["gaps"] else say("monitor.no_gaps")
+    )
+    if row["damage_bytes"]:
+        told.append(say("monitor.damaged", size=size(row["damage_bytes"], say)))
+    return row["name"], [_word(row["state"], say), *map(Text, told)]
 
 
-def _rest(view: PageView, wide: int) -> list[Text]:
-    lines = [Text.assemble(_name("disk", wide), _word(view.disk["state"]), f"  log {size(view.bytes)}")]
+def _rest(view: PageView, say: Texts) -> list[_Line]:
+    log = Text(say("monitor.log", size=size(view.bytes, say)))
+    lines: list[_Line] = [(say("monitor.disk"), [_word(view.disk["state"], say), log])]
     batteries = {row["link"]: row["state"] for row in view.batteries}
     clocks = {row["link"]: row["state"] for row in view.clocks}
     vehicles = {row["link"]: row for row in view.vehicles}
     for link in sorted({*batteries, *clocks, *vehicles}):
-        parts: list[str | Text] = [_name(link, wide)]
+        parts = list[Text]()
         if link in vehicles:
             height_m = vehicles[link]["height_m"]
-            parts += [_word(vehicles[link]["mode"]), "  "]
-            parts += [] if height_m is None else [Text(f"{height_m:.0f} m", style="bold"), "  "]
-        parts += [_word(batteries[link]), "  "] if link in batteries else []
-        parts += ["clock ", _word(clocks[link])] if link in clocks else []
-        lines.append(Text.assemble(*parts))
+            parts.append(_word(vehicles[link]["mode"], say))
+            parts += [] if height_m is None else [Text(f"{round(height_m)} m", style="bold")]
+        parts += [_word(batteries[link], say)] if link in batteries else []
+        if link in clocks:
+            parts.append(Text.assemble(say("monitor.clock"), " ", _word(clocks[link], say)))
+        lines.append((link, parts))
     return lines
 
 
-def _alarms(alarms: Sequence[ShownAlarm], room: int) -> RenderableType:
+def _alarms(alarms: Sequence[ShownAlarm], say: Texts, width: int, room: int) -> list[Text]:
+    """Say the last alarms, the newest first, in so many lines."""
     if not alarms:
-        return Text("none", style="dim")
-    lines = []
-    for alarm in alarms[: -room - 1 : -1]:
+        return [Text(say("monitor.none"), style="dim")]
+    lines = list[Text]()
+    for alarm in reversed(alarms):
         time = dt.datetime.fromtimestamp(alarm.time_ns / SECOND_NS, dt.UTC).strftime("%H:%M:%S ")
-        text = printable(f"{alarm.link}: {alarm.text}" if alarm.link else alarm.text)
-        said = (f"{_SIGNS[alarm.level]} {text}", "dim" if alarm.ended else _PAST.get(alarm.level, ""))
-        line = Text.assemble((time, "dim"), said, (f" ({alarm.ended})" if alarm.ended else "", "dim"))
-        line.no_wrap, line.overflow = True, "ellipsis"
-        lines.append(line)
-    return Group(*lines)
+        text = say.stored(alarm.text)
+        text = (
+            f"{_SIGNS[alarm.level]} {alarm.link}: {text}" if alarm.link else f"{_SIGNS[alarm.level]} {text}"
+        )
+        text += f" ({say(f'monitor.{alarm.ended}')})" if alarm.ended else ""
+        pieces = textwrap.wrap(
+            printable(text), max(width - len(time), 2), max_lines=None if lines else room, placeholder="…"
+        )
+        if len(lines) + len(pieces) > room:
+            break
+        style = "dim" if alarm.ended else _PAST.get(alarm.level, "")
+        for start, piece in zip([time, *[" " * len(time)] * len(pieces)], pieces, strict=False):
+            lines.append(Text.assemble((start, "dim"), (piece, style)))
+    return lines
 
 
 def _heading(text: str) -> Rule:
@@ -229,14 +274,8 @@ def _name(text: str, width: int) -> Text:
     return Text(f"{short:<{width}} ", style="bold")
 
 
-def _word(word: Word) -> Text:
-    return Text(f"{_SIGNS[word.level]} {printable(word.text)}", style=_STYLES.get(word.level, ""))
-
-
-def _cut(line: str | Text, width: int) -> Text:
-    text = Text(line, style="dim") if isinstance(line, str) else line
-    text.truncate(width, overflow="ellipsis")
-    return text
+def _word(word: Word, say: Texts) -> Text:
+    return Text(f"{_SIGNS[word.level]} {printable(say.stored(word.text))}", style=_STYLES.get(word.level, ""))
 
 
 def duration(seconds: float) -> str:
@@ -245,9 +284,9 @@ def duration(seconds: float) -> str:
     return f"{whole // 3600}:{whole // 60 % 60:02}:{whole % 60:02}"
 
 
-def size(count: float) -> str:
+def size(count: float, say: Texts) -> str:
     """Return a size in bytes with its decimal unit."""
     for unit, limit in (("B", 1e3), ("kB", 1e6), ("MB", 1e9)):
         if count < limit:
-            return f"{count / (limit / 1e3):.{0 if unit == 'B' else 1}f} {unit}"
-    return f"{count / 1e9:.1f} GB"
+            return f"{say.row([count / (limit / 1e3)], '.0f' if unit == 'B' else '.1f')} {unit}"
+    return f"{say.row([count / 1e9], '.1f')} GB"

@@ -227,7 +227,7 @@ def _recording(state: RecordingState) -> Word:
         return Word("ended", "off")
     if state.stalled:
         return Word(f"nothing written for {_seconds(look.time_ns - state.grown_ns):.0f} s", "bad")
-    return Word("recording", "good")
+    return Word("recording", "good") if state.first_ns else Word("no data yet", "off")
 
 
 def _link(name: str, link: LinkState, state: RecordingState, now_ns: int) -> Row:

@@ -25,7 +25,7 @@ from acquire.log.chunk import (
 from acquire.log.writer import LogWriter
 from acquire.recording.log_file import OpenFile, WholeWrites, discard, in_background, new_file, new_log
 from photocal.base.arrays import Integers
-from photocal.base.errors import OutputError
+from photocal.base.errors import OutputError, reason
 from photocal.base.operating_system import available_memory
 
 # Words of what may be left out, and the share of the memory up to which it is kept: the least of worth first.
@@ -117,7 +117,7 @@ class LogFiles:
             self._file: OpenFile | None = self._new(0)
         except OSError as failure:
             raise OutputError(
-                f"cannot be written ({failure.strerror or failure})",
+                f"cannot be written ({reason(failure)})",
                 "free disk space, or choose another folder",
                 where=self._folders[0],
             ) from failure
@@ -342,7 +342,7 @@ class LogFiles:
         """Copy a file that has lost its name to a new one in a thread of its own."""
         gone = file.path
         names = (gone.name, *(f"{gone.stem}_saved{number}.mcap" for number in range(1, 100)))
-        copy, reason = None, "no name is free"
+        copy, why = None, "no name is free"
         for name in names:
             try:
                 copy = io.FileIO(folder / name, "xb")
@@ -350,13 +350,13 @@ class LogFiles:
             except FileExistsError:
                 continue
             except OSError as failure:
-                reason = str(failure.strerror or failure)
+                why = reason(failure)
                 break
         if copy is None:
             file.close()
             self._put_back(file)
             self.paths.remove(gone)
-            return [("file_gone", f"{gone} was deleted and cannot be saved ({reason}): it is lost")]
+            return [("file_gone", f"{gone} was deleted and cannot be saved ({why}): it is lost")]
         target = copy
         copying = in_background("rescue", lambda: _copy_back(file, target))
         self._rescues.append((file, Path(copy.name), copying))
@@ -391,7 +391,7 @@ class LogFiles:
         """
         # A disk that is full or away is tried again after this.
         try_again_s = 5.0
-        reason = failure.strerror or str(failure)
+        why = reason(failure)
         full = self.paths[-1]
         left, self._file = self._file, None
         if left is not None and doubtful:
@@ -404,7 +404,7 @@ class LogFiles:
         following = self._go_on(0 if waited else self._place + (failure.errno == errno.ETIMEDOUT))
         if following is None:
             self._again_s = self._steady_s() + try_again_s
-            text = f"no folder can be written ({reason}): free disk space now, new data are kept in memory"
+            text = f"no folder can be written ({why}): free disk space now, new data are kept in memory"
             return [] if waited else [("disk_full", text)]
         self._again_s = None
         self._given_up += [in_background("give up", file.give_up) for file in self._doubted]
@@ -412,7 +412,7 @@ class LogFiles:
         if waited:
             told = "note", f"disk space is free again, recording continues in {following.path}"
         else:
-            what = f"{full} can no longer be written ({reason})"
+            what = f"{full} can no longer be written ({why})"
             told = "disk_full", f"{what}, recording continues in {following.path}"
         return [told, *self._write()]
 
@@ -441,8 +441,7 @@ class LogFiles:
 
 
 def _no_summary(file: OpenFile, failure: OSError) -> Notice:
-    reason = failure.strerror or failure
-    return "disk_full", f"{file.path} has no summary ({reason}): acquire recover adds it"
+    return "disk_full", f"{file.path} has no summary ({reason(failure)}): acquire recover adds it"
 
 
 def _copy_back(file: OpenFile, copy: io.FileIO) -> None:

@@ -24,6 +24,7 @@ from drivers.mavlink.dialect import Dialect
 from drivers.protocols import wires_of
 from drivers.ubx.decode import NAV_PVT, RXM_RAWX
 from photocal.base.console import Check
+from photocal.base.errors import reason
 from photocal.base.time_scales import SECOND_NS
 
 _NOT_IN_SPACE = ("none", "time_only", "dead_reckoning", "2d")
@@ -163,7 +164,7 @@ def _disk(configuration: RecordingConfiguration, base: Path, host: Host) -> list
         try:
             free_mb = host.free_bytes(place) / mb
         except OSError as failure:
-            checks.append(Check(f"disk {folder}", "bad", failure.strerror or str(failure)))
+            checks.append(Check(f"disk {folder}", "bad", reason(failure)))
             continue
         good = free_mb >= configuration.recording.least_free_mb
         checks.append(_check(f"disk {folder}", good, f"{free_mb:.0f} MB are free"))

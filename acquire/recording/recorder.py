@@ -31,7 +31,7 @@ from acquire.transports.ntrip import NtripSource, ntrip_address
 from acquire.transports.sources import Source, source_of
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.scan import compile_search
-from photocal.base.errors import ConfigurationError, InputNotFoundError
+from photocal.base.errors import ConfigurationError, InputNotFoundError, reason
 from photocal.base.time_scales import expiry_warning
 from photocal.base.version import __version__
 
@@ -318,8 +318,7 @@ def _attachments(configuration: RecordingConfiguration, base: Path) -> list[tupl
         try:
             attachments.append((path.name, (base / path).read_bytes()))
         except OSError as refusal:
-            reason = (refusal.strerror or str(refusal)).lower()
             raise InputNotFoundError(
-                f"cannot be attached ({reason})", "check the name in [site]", where=base / path
+                f"cannot be attached ({reason(refusal)})", "check the name in [site]", where=base / path
             ) from refusal
     return attachments

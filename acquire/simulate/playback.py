@@ -59,7 +59,11 @@ def read_flight(source: Path, start_utc: dt.datetime | None = None) -> PlayedFli
     raises InputMalformedError: when streams and their times do not fit.
     """
     folder = source.is_dir()
-    given = read_configuration(source / "truth" / "flight.toml" if folder else source)
+    plan = source / "truth" / "flight.toml" if folder else source
+    if folder and not plan.is_file():
+        remedy = "name a folder that `acquire simulate flight` made"
+        raise InputNotFoundError("holds no simulated flight", remedy, where=source)
+    given = read_configuration(plan)
     gnss = given.gnss
     interval = {"rover": gnss.rover_interval_s, "base": gnss.base_interval_s}
     rates = {

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeVar
 from urllib.parse import urlsplit
 
 from acquire.transports.sources import PIECE_BYTES, LinkLostError, Patience, TcpSource, connect
-from photocal.base.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError, reason
 
 if TYPE_CHECKING:
     # Loaded where a caster asks for it: five megabytes that other recordings do without.
@@ -113,7 +113,7 @@ class NtripSource(TcpSource):
                 line.sendall(sentence)
         except (OSError, ValueError) as failure:
             line.close()
-            raise LinkLostError(f"{address.host}: {failure}") from failure
+            raise LinkLostError(f"{address.host}: {reason(failure)}") from failure
         except BaseException:
             line.close()
             raise

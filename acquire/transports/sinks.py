@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol
 
 from acquire.transports.sources import host_and_port
-from photocal.base.errors import ConfigurationError, DeviceError
+from photocal.base.errors import ConfigurationError, DeviceError, reason
 from photocal.base.operating_system import has_reader, pseudo_terminal, waiting_bytes
 
 # A reader that takes nothing for so long is given up.
@@ -116,7 +116,7 @@ class _TcpSink:
             self._port.sendall(frame)
         except OSError as failure:
             raise DeviceError(
-                f"the reader was closed ({failure.strerror or failure})", "start reader and replay again"
+                f"the reader was closed ({reason(failure)})", "start reader and replay again"
             ) from failure
 
 
@@ -166,7 +166,7 @@ def open_sink(url: str) -> Iterator[tuple[Sink, str]]:
                 yield _TcpSink(server), "tcp://{}:{}".format(*server.getsockname()[:2])
     except OSError as failure:
         raise DeviceError(
-            f"cannot be opened ({failure.strerror or failure})", "choose another address", where=url
+            f"cannot be opened ({reason(failure)})", "choose another address", where=url
         ) from failure
 
 

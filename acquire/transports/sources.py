@@ -2,7 +2,6 @@
 
 import errno
 import os
-import re
 import select
 import socket
 import struct
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from photocal.base.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError, reason
 
 PIECE_BYTES = 65536
 _WRITE_LIMIT_S = 0.5
@@ -100,8 +99,8 @@ def connect(host: str, port: int, patience: Patience) -> socket.socket:
     try:
         addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError) as failure:
-        raise LinkLostError(f"{host}: {failure}") from failure
-    reason = "has no address"
+        raise LinkLostError(f"{host}: {reason(failure)}") from failure
+    why = "has no address"
     for family, kind, protocol, _, address in addresses:
         line = socket.socket(family, kind, protocol)
         try:
@@ -111,15 +110,15 @@ def connect(host: str, port: int, patience: Patience) -> socket.socket:
             code = line.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
             if not code:
                 return line
-            reason = os.strerror(code)
+            why = reason(OSError(code, os.strerror(code)))
         except (OSError, LinkLostError) as failure:
-            reason = str(failure)
+            why = reason(failure)
         line.close()
-    raise LinkLostError(f"{host}: {reason}")
+    raise LinkLostError(f"{host}: {why}")
 
 
 @contextmanager
-def _losing(*failures: type[Exception], words: Callable[[Exception], str] = str) -> Iterator[None]:
+def _losing(*failures: type[Exception], words: Callable[[Exception], str] = reason) -> Iterator[None]:
     """Within it such failures mean that the link is lost."""
     try:
         yield
@@ -141,8 +140,7 @@ def _of_port(failure: Exception) -> str:
         return "there is no such port: is the device plugged in?"
     if number in (errno.EACCES, errno.EPERM):
         return "no permission to open the port: photocal doctor shows the remedy"
-    # What pySerial passes on begins with the number that the system gave.
-    return re.sub(r"\[Errno \d+\] ", "", str(failure))
+    return reason(failure)
 
 
 class UdpSource(Source):

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from photocal.base.errors import ConfigurationError, InputNotFoundError
+from photocal.base.errors import ConfigurationError, InputNotFoundError, reason
 
 Content = TypeVar("Content", bound=BaseModel)
 
@@ -93,7 +93,7 @@ def _unreadable(refusal: OSError) -> str:
         return "does not exist"
     if isinstance(refusal, IsADirectoryError):
         return "is a folder, a file was expected"
-    return f"cannot be read ({refusal.strerror})"
+    return f"cannot be read ({reason(refusal)})"
 
 
 def _complaint(path: object, error: Any) -> ConfigurationError:

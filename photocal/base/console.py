@@ -3,23 +3,37 @@
 import atexit
 import gc
 import inspect
+import io
 import json
 import math
 import re
+import shutil
 import sys
+import textwrap
 import time
 import types
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import MISSING, dataclass, fields
 from functools import partial, wraps
 from importlib import import_module
-from typing import Annotated, Any, ClassVar, Literal, NoReturn, TextIO, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    NoReturn,
+    TextIO,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 from unicodedata import category
 
 import typer
 import typer.main
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from photocal.base.errors import (
     ConfigurationError,
@@ -31,8 +45,13 @@ from photocal.base.errors import (
 from photocal.base.options import Option, Options
 from photocal.base.progress import Bar, Standing
 
+if TYPE_CHECKING:
+    from photocal.base.sentences import Texts
+
 # Into a file, or to a program that reads along, a line of progress is written so often.
 LINE_EVERY_S = 10.0
+# What such a line says behind the title.
+_LEFT = "{share}%, {seconds} s left"
 
 
 class _Late(Mapping[str, Any]):
@@ -48,7 +67,7 @@ class _Late(Mapping[str, Any]):
             found = getattr(import_module(module), attribute)
             if not isinstance(found, typer.Typer):
                 alone = typer.Typer(**_SHARED)
-                alone.command(name)(found)
+                alone.command(name, cls=_Command)(found)
                 found = alone
             self._made[name] = typer.main.get_command(found)
             self._made[name].name = name
@@ -63,9 +82,51 @@ class _Late(Mapping[str, Any]):
         return len(self._places)
 
 
+class _Context(typer.Context):
+    """A call of a command, whose help is in the language of the person."""
+
+    def make_formatter(self) -> Any:
+        """Make what writes the help; each text goes through `said`, which the program hands in."""
+        formatter: Any = super().make_formatter()
+        said: Callable[[str], str] = self.obj or str
+        usage, heading, text, table = (
+            getattr(formatter, f"write_{part}") for part in ("usage", "heading", "text", "dl")
+        )
+
+        def names(line: str) -> str:
+            """Say the placeholders of a usage, and the kinds of values."""
+            return re.sub(r"<[^>]+>|[A-Z][\w.=|:-]+", lambda found: said(found[0]), line)
+
+        def meaning(cell: str) -> str:
+            """Say what an option is for; behind it stand its default and limits in brackets."""
+            whole, gap, limits = cell.partition("  [")
+            return said(whole) + gap + re.sub(r"default(?=: )|required", lambda found: said(found[0]), limits)
+
+        def paragraphs(whole: str) -> str:
+            """Say what a command does."""
+            return "\n\n".join(said(" ".join(one.split())) for one in whole.split("\n\n"))
+
+        formatter.write_usage = lambda program, line="", _=None: usage(
+            program, names(line), f"{said('Usage:')} "
+        )
+        formatter.write_heading = lambda title: heading(said(title))
+        formatter.write_text = lambda whole: text(paragraphs(whole))
+        formatter.write_dl = lambda rows, **settings: table(
+            [(names(name), meaning(cell)) for name, cell in rows], **settings
+        )
+        return formatter
+
+
+class _Command(TyperCommand):
+    """A command whose help is in the language of the person."""
+
+    context_class = _Context
+
+
 class _Commands(TyperGroup):
     """Commands that the help lists with their whole summaries, without importing them."""
 
+    context_class = _Context
     places: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, **settings: Any) -> None:
@@ -101,7 +162,7 @@ def _summary(place: str) -> str:
 
 def _as_given(convert: Callable[[Any, Any], Any], context: Any, value: Any) -> Any:
     """Convert an option that was given: what converts costs 0.3 s of imports, also before a help below."""
-    return None if value is None else convert(context, value)
+    return convert(context, value) if value else value
 
 
 _SHARED: dict[str, Any] = {
@@ -132,12 +193,6 @@ def _version(asked: bool) -> None:
 
         typer.echo(f"photocal {__version__}")
         raise typer.Exit
-
-
-def _of_program(
-    version: Annotated[bool, typer.Option("--version", help="Show the version.", callback=_version)] = False,
-) -> None:
-    del version
 
 
 def option(text: str, *names: str, **settings: Any) -> Any:
@@ -207,6 +262,23 @@ Language = Annotated[
 ]
 
 
+def _of_program(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Show the version.", callback=_version)] = False,
+    language: Language = "",
+) -> None:
+    del version
+    # The help has been printed by now, in that language.
+    if language:
+        refuse_before(context)
+
+
+def refuse_before(context: typer.Context) -> None:
+    """Refuse an option of a command that stands before it."""
+    what, remedy = "an option comes before the command", f"put it after {context.invoked_subcommand}"
+    raise ConfigurationError(what, remedy)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Answering(Options):
     """How a command answers: in which language, or as JSON."""
@@ -229,39 +301,67 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else " " if category(c) == "Zs" else "·" for c in text)
 
 
-def run(app: Callable[..., Any], said: Callable[[str], str] = str) -> None:
+# What typer raises for a call that it does not understand: its name differs between versions.
+_Misuse: type[Any] = typer.BadParameter.__mro__[1]
+
+
+def run(app: Callable[..., Any], texts: Callable[[str], "Texts"]) -> None:
     """Run an application; failures that we know become one line and their exit code.
 
-    said: how that line reads in the language of the person.
+    texts: gives the texts of a language: help and failures are said in that of the person.
     """
+
+    def refused(line: str) -> str:
+        """Say a refusal in the language of the person."""
+        from photocal.base.sentences import spoken_to
+
+        return texts(spoken_to(sys.argv[1:])).refused(line)
+
+    def helped(text: str) -> str:
+        """Say a text of the help."""
+        from photocal.base.sentences import spoken_to
+
+        # The help in English answers without reading any texts.
+        language = spoken_to(sys.argv[1:])
+        return text if language == "en" else texts(language).helped(text)
+
+    # Into a terminal or file of another encoding goes a question mark for a sign that it does not have.
+    if isinstance(sys.stdout, io.TextIOWrapper) and not sys.stdout.encoding.lower().startswith("utf"):
+        sys.stdout.reconfigure(errors="replace")
     # At its end the interpreter would look at every object for half a second; nothing is left to be freed.
     atexit.register(gc.freeze)
     try:
-        app()
+        sys.exit(app(standalone_mode=False, obj=helped))
+    except _Misuse as misuse:
+        with redirect_stderr(io.StringIO()) as told:
+            misuse.show()
+        for line in told.getvalue().splitlines():
+            sys.stderr.write(f"{helped(line)}\n")
+        sys.exit(misuse.exit_code)
+    except typer.Abort:
+        # Ctrl-C, as older typer tells it.
+        sys.exit(130)
     except PhotocalError as failure:
-        _end(failure, said)
+        _end(failure, refused)
     except ModuleNotFoundError as missing:
         name = (missing.name or "").partition(".")[0]
         if name in ("acquire", "drivers", "photocal", ""):
             raise
         # A recorder is installed without what only the processing needs.
-        sys.stderr.write(f"error: the package {name} is missing; run: pip install 'photocal[process]'\n")
-        sys.exit(ProgramMissingError.exit_code)
-    except BrokenPipeError:
-        # The reader of our output went away (`| head`): nothing is left to say.
-        sys.stderr.close()
-        sys.exit(0)
+        what = f"the package {name} is missing"
+        _end(ProgramMissingError(what, "run: pip install 'photocal[process]'"), refused)
     except OSError as refusal:
-        _end(of_system(refusal), said)
+        _end(of_system(refusal), refused)
     except UnicodeEncodeError as failure:
         name = failure.object[:80].encode("utf-8", "backslashreplace").decode()
         what = f"a name is not in UTF-8, the encoding of names ({name})"
-        _end(InputMalformedError(what, "rename the file or folder"), said)
+        _end(InputMalformedError(what, "rename the file or folder"), refused)
 
 
 def _end(failure: PhotocalError, said: Callable[[str], str]) -> NoReturn:
     """Say in one line, and by the exit code, what went wrong."""
-    sys.stderr.write(error_lines(failure, said))
+    # Nowhere to say it (`2>&-`) is no failure of its own.
+    typer.echo(error_lines(failure, said), err=True, nl=False)
     sys.exit(failure.exit_code)
 
 
@@ -286,8 +386,11 @@ def numbers_of(text: str, option: str, form: str) -> list[float]:
 
 
 def answer(as_json: bool, figures: Callable[[], Any], text: Callable[[], str]) -> None:
-    """Print an answer for a program or for a person."""
-    typer.echo(answered(as_json, figures, text))
+    """Print an answer for a program or for a person; lines wider than a terminal go on below, indented."""
+    said = answered(as_json, figures, text)
+    if not as_json and sys.stdout is not None and sys.stdout.isatty():
+        said = "\n".join(_folded(line, shutil.get_terminal_size().columns) for line in said.split("\n"))
+    typer.echo(said)
 
 
 def answered(as_json: bool, figures: Callable[[], Any], text: Callable[[], str]) -> str:
@@ -297,6 +400,19 @@ def answered(as_json: bool, figures: Callable[[], Any], text: Callable[[], str])
 
         return json.dumps(as_plain(figures()), indent=2, allow_nan=False)
     return "\n".join(map(printable, text().split("\n")))
+
+
+def _folded(line: str, width: int) -> str:
+    """Break a line between words; names of files stay whole."""
+    below = " " * (len(line) - len(line.lstrip()) + 4)
+    lines = textwrap.wrap(
+        line,
+        max(width, 2 * len(below)),
+        subsequent_indent=below,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return "\n".join(lines)
 
 
 def write_through(stream: TextIO, text: str) -> None:
@@ -321,8 +437,8 @@ def write_through(stream: TextIO, text: str) -> None:
 class _Lines:
     """A line now and then: what is done of a piece of work, and the time left."""
 
-    def __init__(self, title: str, total: float | None) -> None:
-        self._title, self._total, self._done = title, total, 0.0
+    def __init__(self, title: str, total: float | None, left: str) -> None:
+        self._title, self._total, self._left, self._done = title, total, left, 0.0
         self._began = self._shown_s = time.monotonic()
 
     def advance(self, amount: float) -> None:
@@ -333,23 +449,24 @@ class _Lines:
             return
         self._shown_s, elapsed = now, now - self._began
         line = f"{self._title}: {elapsed:.0f} s"
-        if self._total and self._done:
-            left = elapsed * (self._total / self._done - 1)
-            # What is not yet done is told neither as whole nor as without time left.
-            share = math.floor(100 * self._done / self._total)
-            line = f"{self._title}: {share}%, {math.ceil(max(left, 0))} s left"
+        # What is not yet done is told neither as whole nor as without time left; before the first hundredth,
+        # when kernels may be compiled, the time left is not known.
+        if self._total and (share := math.floor(100 * self._done / self._total)):
+            seconds = math.ceil(max(elapsed * (self._total / self._done - 1), 0))
+            line = f"{self._title}: {self._left.format(share=share, seconds=seconds)}"
         print(line, file=sys.stderr, flush=True)
 
 
 @contextmanager
-def progress(title: str, total: float | None) -> Iterator[Callable[[float], None]]:
+def progress(title: str, total: float | None, left: str = _LEFT) -> Iterator[Callable[[float], None]]:
     """Show on standard error how far a longer piece of work is: a bar, or a line now and then into a file.
 
     total: the amount of work, in any unit; None when it is not known.
+    left: how a line says the share that is done, %, and the seconds left.
     """
     if not sys.stderr.isatty():
         # The import of the bar would cost more than many a piece of work.
-        yield _Lines(title, total).advance
+        yield _Lines(title, total, left).advance
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn

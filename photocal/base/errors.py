@@ -48,6 +48,13 @@ class PhotocalError(Exception):
         return line if len(line) <= longest else f"{line[: longest // 2]} ... {line[-longest // 2 :]}"
 
 
+def reason(failure: Exception) -> str:
+    """Say why the system refused, without its number."""
+    told = getattr(failure, "strerror", None) or re.sub(r"\[Errno -?\d+\] ", "", str(failure))
+    # Python adds the address that a server was to have; the place of the failure names it.
+    return (told[:1].lower() + told[1:]).partition(" (while attempting to bind")[0]
+
+
 class InputNotFoundError(PhotocalError):
     """A file or folder that should be read is missing, empty or of another kind."""
 
@@ -60,8 +67,9 @@ def reading(path: object, remedy: str = "check name and permissions") -> Iterato
     try:
         yield
     except OSError as refusal:
-        reason = (refusal.strerror or str(refusal)).lower()
-        raise InputNotFoundError(f"cannot be read ({reason})", where=path, remedy=remedy) from refusal
+        raise InputNotFoundError(
+            f"cannot be read ({reason(refusal)})", where=path, remedy=remedy
+        ) from refusal
 
 
 class InputMalformedError(PhotocalError):

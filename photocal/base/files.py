@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from photocal.base.arrays import as_plain
-from photocal.base.errors import ConfigurationError, OutputError, PhotocalError, system_refusals
+from photocal.base.errors import ConfigurationError, OutputError, PhotocalError, reason, system_refusals
 from photocal.base.operating_system import replace
 
 if TYPE_CHECKING:
@@ -55,6 +55,13 @@ def output_file(path: Path) -> Iterator[Path]:
             replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)
+
+
+def refuse_input_as_output(output: Path, *inputs: Path) -> None:
+    """Refuse to write over what is read; raises ConfigurationError."""
+    for path in inputs:
+        if path.exists() and output.exists() and path.samefile(output):
+            raise ConfigurationError("is read, and would be overwritten", "name another output", where=path)
 
 
 def picture_kind(path: Path) -> str:
@@ -169,8 +176,7 @@ def refusals(path: Path, remedy: str = "choose a place that you may write to") -
     try:
         yield
     except OSError as refusal:
-        reason = refusal.strerror or str(refusal)
-        raise OutputError(f"cannot be written ({reason})", remedy, where=path) from refusal
+        raise OutputError(f"cannot be written ({reason(refusal)})", remedy, where=path) from refusal
 
 
 # Control and format (zero width, right to left), line and paragraph ends, halves and no characters.

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import IO, Any
 
-from photocal.base.errors import DeviceError, OutputError
+from photocal.base.errors import DeviceError, OutputError, reason
 
 # Windows refuses to replace a file that another program, often a scanner, is looking at.
 _REPLACE_TRIES, _REPLACE_WAIT_S = 20, 0.05
@@ -99,7 +99,7 @@ else:
             ours, theirs = os.openpty()
         except OSError as refusal:
             raise DeviceError(
-                f"this system gives no pseudo terminal ({refusal.strerror})",
+                f"this system gives no pseudo terminal ({reason(refusal)})",
                 "mount devpts on /dev/pts, as complete systems and containers do",
             ) from refusal
         tty.setraw(theirs)
@@ -156,7 +156,7 @@ def private_folder(folder: Path) -> Path:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         private = is_private(folder)
     except OSError as refusal:
-        raise unwritten(f"cannot be made ({refusal.strerror})") from refusal
+        raise unwritten(f"cannot be made ({reason(refusal)})") from refusal
     if not private:
         raise unwritten(
             "belongs to another user or is open to others", f"remove it, or run: chmod 700 {folder}"

@@ -59,6 +59,10 @@ class Texts:
         """
         return text if self.language == "en" else self._known(text, "stored", own)
 
+    def helped(self, text: str) -> str:
+        """Say in this language what the help has in English; what is not known stands as it is."""
+        return text if self.language == "en" else self._known(text, "help")
+
     def refused(self, text: str) -> str:
         """Say in this language what a command refuses, "place: what happened; what to do".
 
@@ -128,7 +132,7 @@ def spoken_to(arguments: Sequence[str]) -> str:
     words = " ".join(arguments).replace("=", " ").split()
     asked = [after for word, after in pairwise(words) if word in ("--lang", "--language")]
     language = asked[-1] if asked else "en" if "--json" in words else spoken()
-    return language if language in LANGUAGES else "en"
+    return language if language in LANGUAGES else spoken()
 
 
 def read_texts(package: str, name: str, language: str) -> dict[str, str]:
@@ -163,8 +167,9 @@ def _pattern(english: str, said: str) -> re.Pattern[str]:
     counted = set(re.findall(r"\{(\w+):", said))
 
     def place(found: re.Match[str]) -> str:
-        """Say what may stand in a place."""
-        return f"(?P<{found[1]}>{'0|[1-9][0-9]*' if found[1] in counted else '.+?'})"
+        """Say what may stand in a place; the name of a link has no blanks, or stands in quotation marks."""
+        kind = r"'.*?'|[^\s:]+" if found[1] == "link" else "0|[1-9][0-9]*" if found[1] in counted else ".+?"
+        return f"(?P<{found[1]}>{kind})"
 
     return re.compile(re.sub(r"\\{(\w+)\\}", place, re.escape(english)))
 

@@ -23,7 +23,7 @@ from starlette.requests import cookie_parser
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from photocal.base.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError, reason
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -95,7 +95,7 @@ class Address:
         except OSError as refusal:
             listener.close()
             raise ConfigurationError(
-                f"cannot be used for listening ({(refusal.strerror or str(refusal)).lower()})",
+                f"cannot be used for listening ({reason(refusal)})",
                 "choose another port, or 0 for any that is free",
                 where=str(self),
             ) from refusal

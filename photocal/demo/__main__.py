@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from photocal.base.console import application, run
+from photocal.findings.texts import catalogue
 
 _DATA = Path(__file__).parent
 app = application("Demonstrations: a simulated flight with known truth, a camera of a published study.")
@@ -87,4 +88,4 @@ def dcs460(
 
 
 if __name__ == "__main__":
-    run(app)
+    run(app, catalogue)

@@ -33,7 +33,7 @@ import numpy as np
 import typer
 
 from photocal.base.console import run
-from photocal.cli import app
+from photocal.cli import app, texts
 from photocal.project import ASKED
 
 OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "mutilated-lists.md"
@@ -88,7 +88,7 @@ def answered(*arguments: str) -> Said:
     ):
         warnings.simplefilter("error")
         try:
-            run(COMMANDS)
+            run(COMMANDS, texts)
         except SystemExit as end:
             code = int(end.code or 0)
         except BaseException:

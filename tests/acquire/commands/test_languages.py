@@ -29,6 +29,8 @@ PORTUGUESE = texts("pt-BR")
 ENGLISH_OWN, PORTUGUESE_OWN = (read_texts("acquire.commands", "said", one) for one in ("en", "pt-BR"))
 # What stands in the place of values in a sentence.
 VALUE = "7"
+# Names and signs of places for values: what is left of a text are its words.
+PLACE = r"\{\w+:?|[|}]"
 
 
 def fields(text: str) -> set[str]:
@@ -40,23 +42,30 @@ def python(package: ModuleType) -> Iterator[str]:
         yield path.read_text(encoding="utf-8")
 
 
-def test_same_keys_and_same_places_for_values() -> None:
-    assert ENGLISH_OWN.keys() == PORTUGUESE_OWN.keys()
-    for key, text in ENGLISH_OWN.items():
-        assert fields(text) == fields(PORTUGUESE_OWN[key]), key
-        assert PORTUGUESE_OWN[key].strip(), key
+@pytest.mark.parametrize("place", [("acquire.commands", "said"), ("photocal.base", "help")])
+def test_same_keys_and_same_places_for_values(place: tuple[str, str]) -> None:
+    english, portuguese = (read_texts(*place, one) for one in ("en", "pt-BR"))
+    assert english.keys() == portuguese.keys()
+    for key, text in english.items():
+        assert fields(text) == fields(portuguese[key]), key
+        assert portuguese[key].strip(), key
 
 
 def test_every_text_is_used_and_every_used_text_is_there() -> None:
     source = "".join(python(acquire))
     sections = {key.partition(".")[0] for key in ENGLISH_OWN}
-    keys = {key for key in ENGLISH_OWN if not key.startswith(("stored.", "number."))}
+    # Those of the help are found by their English, see `test_help`.
+    keys = {key for key in ENGLISH_OWN if not key.startswith(("stored.", "number.", "help."))}
     assert set(re.findall(r'\bsay\(\s*"([a-z_]+\.[a-z_]+)"', source)) <= keys
     quoted = set(re.findall(r"[\"']([a-z_]+\.[a-z_]+)[\"']", source))
     assert len({key for key in quoted if key.partition(".")[0] in sections}) > 30
     # Heads of a table, and how exposures are seen.
     made = {"info.type", "info.frames", "info.rate_hz", "info.longest_gap_s"}
     made |= {f"info.seen_{key}" for key in summary._SEEN}
+    groups = ("fix", "pictures", "links")
+    made |= {f"monitor.{key}" for key in (*groups, *(f"no_{one}" for one in groups), "rest")}
+    # How an alarm ended.
+    made |= {"monitor.cured", "monitor.landed"}
     assert keys - quoted == made - quoted
 
 
@@ -140,12 +149,28 @@ def test_counts_are_singular_and_plural_and_decimals_have_a_comma() -> None:
     lost = "rover is lost: the caster refuses user and password"
     assert PORTUGUESE.stored(lost) == "rover perdido: o caster recusa usuário e senha"
     assert texts("en").stored(lost) == lost
+    # A name of a link ends at the first blank, whatever has colons behind it.
+    found = "vehicle has an autopilot: system 1, component 1"
+    assert PORTUGUESE.stored(found) == "vehicle tem um piloto automático: sistema 1, componente 1"
+    # Why the system refused.
+    assert PORTUGUESE.stored("rover is lost: address already in use") == (
+        "rover perdido: já está em uso por outro programa"
+    )
     # A reason of a device stays as it is told.
     assert PORTUGUESE.stored("rover is not configured: NAK") == "rover não está configurado: NAK"
 
 
 def words(line: str) -> set[str]:
     return set(re.findall(r"[a-z]{3,}", line.lower()))
+
+
+def foreign(*names: str) -> set[str]:
+    """Words that only English has; names of files, messages, parameters and links are those of both."""
+    ours, theirs = (
+        {word for text in texts(language).messages.values() for word in words(re.sub(PLACE, " ", text))}
+        for language in ("en", "pt-BR")
+    )
+    return ours - theirs - {"vehicle", "synthetic", "flight", *names}
 
 
 def test_no_line_of_info_is_english(acquire: Acquire, demo_flight: bytes, tmp_path: Path) -> None:
@@ -156,14 +181,26 @@ def test_no_line_of_info_is_english(acquire: Acquire, demo_flight: bytes, tmp_pa
     assert "registro de telemetria MAVLink" in imported.stdout
     english, portuguese = (acquire("info", log, "--lang", one).stdout.splitlines() for one in ("en", "pt-BR"))
     assert len(english) == len(portuguese) > 12
-    # Words that only English has; names of files, messages and parameters are those of both.
-    foreign = {word for key, text in ENGLISH_OWN.items() for word in words(re.sub(r"\{\w+\}", "", text))} - {
-        word for text in PORTUGUESE_OWN.values() for word in words(re.sub(r"\{\w+:?|[|}]", " ", text))
-    }
-    assert {"frames", "bytes", "the"} & foreign == {"frames", "the"}
-    told = [line for line in portuguese if "SHA-256" not in line]
-    assert [line for line in told if words(line) & foreign] == []
+    assert {"frames", "bytes", "the"} & foreign() == {"frames", "the"}
+    told = [line for line in portuguese if "SHA-256" not in line and str(log) not in line]
+    assert [line for line in told if words(line) & foreign()] == []
     assert portuguese[0] == "veredito: completo"
+
+
+@pytest.mark.parametrize("language", ["en", "pt-BR"])
+def test_heads_of_a_table_stand_above_its_figures(
+    acquire: Acquire, demo_flight: bytes, tmp_path: Path, language: str
+) -> None:
+    recording, log = tmp_path / "voo.tlog", tmp_path / "voo.mcap"
+    recording.write_bytes(demo_flight)
+    acquire("import", recording, "-o", log)
+    lines = acquire("info", log, "--types", "--lang", language).stdout.splitlines()
+    head = next(n for n, line in enumerate(lines) if line.split()[:1] == [texts(language)("info.type")])
+    # Each column ends below its head.
+    heads = [texts(language)(f"info.{key}") for key in ("frames", "rate_hz", "longest_gap_s")]
+    ends = [lines[head].index(one) + len(one) for one in heads]
+    for line in lines[head + 1 : head + 4]:
+        assert all(line[end - 1].isdigit() and line[end : end + 1] in ("", " ") for end in ends), line
 
 
 @pytest.mark.parametrize("asked", [["--lang", "pt-BR"], []])

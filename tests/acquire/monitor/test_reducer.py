@@ -18,6 +18,7 @@ from mcap.reader import make_reader
 from rich.console import Console
 
 from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH, STATION
+from acquire.commands.texts import texts
 from acquire.importing.importer import import_recordings
 from acquire.log.chunk import Channel
 from acquire.log.reader import LoggedMessages, LogReader
@@ -272,7 +273,7 @@ def test_alarms_of_the_recorder_and_texts_of_the_vehicle_are_passed_on() -> None
 
 
 def test_a_log_that_does_not_grow_is_told_and_its_growth_too() -> None:
-    state = RecordingState()
+    state = RecordingState(first_ns=START, last_ns=START)
     sizes = [100, 200, 300, 300, 300, 300, 300, 300, 400, 500]
     texts = []
     for second, size in enumerate(sizes):
@@ -374,7 +375,7 @@ def test_a_log_of_another_program_never_ends_the_view(
     assert state.links["rover"].frames == 1
     json.dumps(view_of(state).as_json(), allow_nan=False)
     json.dumps([layer.points.tolist() for layer in layers(state)], allow_nan=False)
-    Console(file=io.StringIO()).print(render(view_of(state), layers(state), 80, 24))
+    Console(file=io.StringIO()).print(render(view_of(state), layers(state), texts("en"), 80, 24))
 
 
 def test_what_cannot_be_read_is_told_once() -> None:

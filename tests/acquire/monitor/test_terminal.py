@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import io
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from pyproj import Geod
 from rich.console import Console
 
+from acquire.commands.texts import texts
 from acquire.monitor.state import (
     Battery,
     ComputerState,
@@ -54,9 +56,9 @@ def state() -> RecordingState:
     return raised(made, "bad", "base", "no data for more than 3 s", NOW)
 
 
-def text_of(state: RecordingState, width: int, height: int) -> list[str]:
+def text_of(state: RecordingState, width: int, height: int, language: str = "en") -> list[str]:
     console = Console(width=width, height=height, file=io.StringIO(), record=True, force_terminal=True)
-    console.print(render(view_of(state), layers(state), width, height))
+    console.print(render(view_of(state), layers(state), texts(language), width, height))
     return console.export_text().splitlines()
 
 
@@ -83,6 +85,44 @@ def test_what_matters_is_there_in_every_window(state: RecordingState, width: int
     assert max(map(len, lines)) <= width
 
 
+def test_the_view_is_said_in_portuguese_and_not_cut(state: RecordingState) -> None:
+    """As wide as common windows are, and with more to say than a line of them holds."""
+    link = replace(
+        state.links["base"], damage_bytes=286_780, last_ns=NOW, trouble="", recent=state.links["rover"].recent
+    )
+    marks = CountedPictures(0, 20, missed=tuple(Trigger(n, NOW, None) for n in range(30, 36)))
+    field = replace(state, links={**state.links, "base": link}, marks={"vehicle": marks})
+    lines = text_of(field, 80, 40, "pt-BR")
+    shown = "\n".join(lines)
+    for words in (
+        "solução ───",
+        "imagens ───",
+        "enlaces ───",
+        "computador e aeronave ───",
+        "alarmes (UTC) ───",
+        "✓ RTK fixo  19 sat.  1,4 cm",
+        "✕ sem solução  4 sat.",
+        "✕ perdidas: 1 (7), marcas de tempo que faltam: 6 (30-35)",
+        "30 disparos, 27 respostas  20 marcas",
+        "✓ recebendo  20,0/s  4,0 kB/s  2 pausas de até 5 s  286,8 kB danificados",
+        "disco   ✕ 0,1 GB livres  registro 1,0 MB",
+        "✓ 15,8 V, 81 %  relógio ✓ em sincronia (+0,01 s)",
+        "base: sem dados há mais de 3 s",
+    ):
+        assert words in shown
+    assert max(map(len, lines)) <= 80
+    assert "…" not in shown
+
+
+def test_a_long_alarm_goes_on_below(state: RecordingState) -> None:
+    addresses = "10.0.0.17:14550, before 10.0.0.16:14550"
+    moved = f"data come from another address: {addresses} (3 times: do several senders share the port?)"
+    lines = text_of(raised(state, "warn", "vehicle", moved, NOW), 80, 30)
+    first = next(n for n, line in enumerate(lines) if "data come" in line)
+    told = " ".join(line[9:].strip() for line in lines[first : first + 2])
+    assert told == f"▲ vehicle: {moved}"
+
+
 @pytest.mark.parametrize(("width", "height"), [(40, 12), (30, 8), (20, 5)])
 def test_a_tiny_window_is_cut_and_not_broken(state: RecordingState, width: int, height: int) -> None:
     lines = text_of(state, width, height)
@@ -98,7 +138,7 @@ def test_levels_are_told_by_sign_as_well_as_by_colour(state: RecordingState) -> 
 
 
 def test_nothing_yet_is_said_in_words() -> None:
-    shown = "\n".join(text_of(RecordingState(), 80, 24))
+    shown = "\n".join(text_of(RecordingState(), 110, 24))
     for word in (
         "waiting for a recording",
         "no data from a receiver yet",
@@ -116,7 +156,7 @@ def test_the_sketch_is_north_up_and_to_scale() -> None:
         longitude, latitude, _ = geod.fwd(*corners[-1], azimuth, 100)
         corners.append((longitude, latitude))
     points = np.array([[latitude, longitude] for longitude, latitude in [*corners, corners[0]]])
-    lines = braille_map([MapLayer("track", "a", points, "")], 40, 21).plain.splitlines()
+    lines = braille_map([MapLayer("track", "a", points, "")], texts("en"), 40, 21).plain.splitlines()
     inked = [
         (row, column)
         for row, line in enumerate(lines[:-1])

@@ -153,7 +153,7 @@ def test_a_disk_that_fails_later_sends_the_recording_to_the_next_file(tmp_path: 
     sent += _fill(files, 3)
     files.close()
     assert [kind for kind, _ in told] == ["disk_full"]
-    assert "Input/output error" in told[0][1]
+    assert "input/output error" in told[0][1]
     assert len(files.paths) == 2
     assert sorted(_kept(files.paths, tmp_path)) == sorted(sent)
 
