@@ -365,6 +365,8 @@ def _with_what_fits(start: Block, adjusted: AdjustedTies, rays: _Rays, keeps: Fl
     tie = points.of_role("tie")
     rows = {name: k for k, name in enumerate(start.images.names)}
     images = start.images.some(np.array([rows[name] for name in alone.images.names], dtype=np.int64))
+    # A camera none of whose images is oriented has gone with them.
+    images = replace(images, camera=alone.images.camera)
     sigma = images.sigma.copy()
     if alone.datum != "free":
         sigma[:, 3:] = alone.images.sigma[:, 3:]
