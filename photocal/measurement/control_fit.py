@@ -93,6 +93,9 @@ def fit_control(
         fit = _beside_positions(rays.met[judged], target[judged], adjusted)
     else:
         fit = _consistent(rays.met[judged], target[judged], sigma, gsd, placed=placed)
+        turned = _consistent(rays.met[judged], target[judged][:, [1, 0, 2]], sigma, gsd, placed=placed)
+        if _exchanged(fit, turned, level=start.frame != "local"):
+            fit = replace(turned, move=None, fits=np.zeros_like(fit.fits), why="control-exchanged")
         if fit.move is None and placed:
             fit = replace(_beside_positions(rays.met[judged], target[judged], adjusted), why=fit.why)
     move, controlled = fit.move or _SAME, fit.move is not None and not fit.why
@@ -245,6 +248,22 @@ def _consistent(source: Floats, target: Floats, sigma: Floats, gsd: float, *, pl
         if few or miss[worst] <= max(STRAY * float(np.median(miss[fits])), noise):
             return _Fit(best, fits, miss)
         fits[worst] = False
+
+
+def _exchanged(typed: _Fit, turned: _Fit, *, level: bool) -> bool:
+    """Whether control fits with E and N exchanged, and as it is typed not, or only from below the ground.
+
+    Exchanged axes mirror the ground. Where that is flat they fit as well, seen by cameras that look up.
+
+    level: whether heights are such of a map, whose ground is seen from above.
+    """
+    # The tilt beyond which cameras that looked down look up.
+    upright = np.cos(np.radians(60.0))
+    if turned.move is None or turned.move.rotation[2, 2] < upright:
+        return False
+    if typed.move is None or (level and typed.move.rotation[2, 2] < -upright):
+        return bool(turned.fits.sum() >= typed.fits.sum())
+    return bool(turned.fits.all() and not typed.fits.all())
 
 
 def _turned(move: Similarity, *, whole: bool) -> float:

@@ -47,10 +47,13 @@ def oriented(
     some: slice = slice(None),
     *,
     beside: Camera | None = None,
+    survey: Floats = SURVEY,
+    frame: str = "local",
 ) -> Oriented:
     """Orient eight pictures of hilly ground with control as somebody has typed it.
 
     beside: camera of one more picture, which shows nothing of the ground.
+    survey: where the points are.
     """
     rng = np.random.default_rng(5)
     ground = np.column_stack([rng.uniform(-40, 40, 160), rng.uniform(-28, 28, 160), rng.uniform(-4, 4, 160)])
@@ -64,8 +67,8 @@ def oriented(
     taken_by = np.where(np.arange(count) < 8, len(cameras) - 1, 0)
     images = Images(tuple(f"{k}.jpg" for k in range(count)), taken_by, values, sigma)
     points = ObjectPoints(NAMES, given, np.full((9, 3), 0.02), np.zeros(9, np.int64))
-    block = Block("b", "local", "", "control", cameras, images, points)
-    point, image, pixels = _rays(SURVEY, 0.5, 3)
+    block = Block("b", frame, "" if frame == "local" else "ellipsoidal", "control", cameras, images, points)
+    point, image, pixels = _rays(survey, 0.5, 3)
     pixels = pixels if marks is None else pixels + marks[: len(pixels)]
     kept = np.isin(point, np.arange(9)[some])
     seen = block.observations.plus(image[kept], point[kept], pixels[kept], np.ones((int(kept.sum()), 2)))
@@ -148,6 +151,19 @@ def test_control_that_contradicts_itself_leaves_the_block_free() -> None:
     assert any("contradict each other" in english(one) for one in found.findings)
     assert said(found, "block-not-placed") == [""]
     assert not found.marked.points.of_role("control").any()
+
+
+@pytest.mark.parametrize("relief", [0.0, 1.0])
+def test_control_with_exchanged_axes_is_named_and_places_nothing(relief: float) -> None:
+    """Of flat ground it would fit, too, seen by cameras below it that look up."""
+    survey = SURVEY * [1.0, 1.0, relief]
+    there = np.array([634600.0, 485300.0, 110.0])
+    found = oriented((survey + there)[:, [1, 0, 2]], survey=survey, frame="EPSG:2180")
+    assert any("E and N of all of them are exchanged" in english(one) for one in found.findings)
+    assert found.adjusted.start.datum == "free"
+    right = oriented(survey + there, survey=survey, frame="EPSG:2180")
+    assert right.adjusted.start.datum == "control"
+    assert not said(right, "control-not-used")
 
 
 def test_points_in_a_line_or_too_few_are_a_sentence() -> None:
