@@ -107,7 +107,7 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
     seen = FolderContents(folder)
     # Folders that are looked into, one in another.
     depth = 3
-    files = sorted(path for path in _files(folder, depth) if path not in leave_out)
+    files = sorted(path for path in _files(folder, depth, set()) if path not in leave_out)
     seen.pictures = _pictures(files, seen.unread)
     sizes = _sizes(seen.pictures)
     results = _results(files, seen, say)
@@ -181,7 +181,8 @@ def _pictures(files: Sequence[Path], unread: list[str]) -> dict[Path, tuple[Imag
         if path.suffix.lower() in SUFFIXES:
             try:
                 require_names([path])
-                pictures.setdefault(path.parent, []).append(read_facts(path))
+                facts = read_facts(path)
+                pictures.setdefault(path.parent, []).append(facts)
             except PhotocalError as refusal:
                 unread.append(str(refusal))
     return {where: tuple(facts) for where, facts in pictures.items()}
@@ -202,15 +203,19 @@ def _placed(
     return {where: tuple(map(given, facts)) for where, facts in pictures.items()}
 
 
-def _files(folder: Path, depth: int) -> Iterator[Path]:
-    """Files of a folder and those below it; neither hidden ones nor what a run has made."""
-    for path in folder.iterdir():
+def _files(folder: Path, depth: int, been: set[Path]) -> Iterator[Path]:
+    """Files of a folder and those below it; neither hidden ones nor what a run has made.
+
+    been: folders that links need not lead to again.
+    """
+    been.add(folder.resolve())
+    for path in sorted(folder.iterdir(), key=Path.is_symlink):
         if path.name.startswith("."):
             continue
         if path.is_file():
             yield path
-        elif depth and path.is_dir() and not (path / ".digests.json").exists():
-            yield from _files(path, depth - 1)
+        elif depth and path.is_dir() and path.resolve() not in been and not (path / ".digests.json").exists():
+            yield from _files(path, depth - 1, been)
 
 
 def _control(path: Path, sizes: Sizes, unread: list[str], say: Catalogue) -> ControlMarks | None:

@@ -135,5 +135,7 @@ def test_heights_of_positions_may_put_the_cameras_below_the_ground() -> None:
         return replace(block, images=replace(images, values=values, sigma=sigma))
 
     expected, found = adjust_network(positions(0.0, np.inf)), adjust_network(positions(3000.0, 1e5))
-    assert found.cameras["dcs460"].value("c") == pytest.approx(expected.cameras["dcs460"].value("c"), abs=1e-5)
+    assert found.cameras["dcs460"].value("c") == pytest.approx(
+        expected.cameras["dcs460"].value("c"), abs=1e-5
+    )
     assert found.images.values[:, 3:] == pytest.approx(expected.images.values[:, 3:], abs=1e-2)
