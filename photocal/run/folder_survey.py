@@ -31,7 +31,7 @@ from photocal.measurement.marks import (
     read_control_marks,
     read_typed_list,
 )
-from photocal.measurement.place_tables import read_places
+from photocal.measurement.place_tables import read_places, unit_of_head
 from photocal.measurement.position_files import PLACE_HEADS, UnbelievableListError, in_degrees, read_positions
 
 # Sigma of control points whose file has none, horizontal and vertical, m: a network RTK of short occupation.
@@ -354,7 +354,7 @@ def _of_table(
     names, stated = table.names("point")[1], table.has("sX")
     sigma = np.column_stack(
         [
-            table.numbers(name, empty=assumed)[rows]
+            _sigma(table, name, given.unit_m, assumed)[rows]
             for name, assumed in zip(("sX", "sY", "sZ"), (ASSUMED_M[0], *ASSUMED_M), strict=True)
         ]
     )
@@ -375,6 +375,13 @@ def _of_table(
     role = np.array([ROLES.index(name) for name in roles], dtype=np.int64)
     points = ObjectPoints(names, places, sigma, role)
     return replace(given, points=points, assumed=frozenset(() if stated else names))
+
+
+def _sigma(table: TextTable, name: str, unit_m: float, assumed: float) -> Floats:
+    """Sigmas of a coordinate, in the unit of the coordinates unless their head states another."""
+    cells = table.numbers(name, empty=np.nan)
+    stated = unit_of_head(table.heads[name]) if table.has(name) else None
+    return np.where(np.isnan(cells), assumed, cells * (stated or unit_m) / unit_m)
 
 
 def _roles(words: Sequence[str]) -> tuple[list[Role], frozenset[str]]:
