@@ -1,5 +1,6 @@
 """Marks of points, by hand or found as targets, and control with its marks, as we and others write them."""
 
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
@@ -417,15 +418,21 @@ def named_after(
 
 
 def pointed_after(marks: Iterable[Mark], points: Iterable[str]) -> tuple[Mark, ...]:
-    """Give marks the names of points that are written alike but for small letters, blanks and signs."""
+    """Give marks the names of points that are written alike but for small letters, blanks, signs and zeros."""
     names, alike = set(points), dict[str, list[str]]()
     for name in names:
-        alike.setdefault(folded(name), []).append(name)
+        alike.setdefault(_plain(name), []).append(name)
     meant = {word: same[0] for word, same in alike.items() if len(same) == 1}
     return tuple(
-        mark if mark.point in names else replace(mark, point=meant.get(folded(mark.point), mark.point))
+        mark if mark.point in names else replace(mark, point=meant.get(_plain(mark.point), mark.point))
         for mark in marks
     )
+
+
+def _plain(name: str) -> str:
+    """A name as it is compared: GCP-01 is gcp1, but 1-01 is not 11."""
+    without_zeros = re.sub(r"(?<!\d)0+(?=\d)", "", folded(name))
+    return re.sub(r"(?<!\d) | (?!\d)", "", without_zeros)
 
 
 def _text(path: Path) -> tuple[Mark, ...]:

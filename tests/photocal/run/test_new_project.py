@@ -124,6 +124,19 @@ def test_marks_under_heads_of_a_spreadsheet(folder: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("listed", "marked"), [("GCP-01", "gcp1"), ("1", "001"), ("P 2", "p_02"), ("G1-1", "g01_1")]
+)
+def test_points_that_list_and_marks_write_differently_are_the_same(
+    folder: Path, listed: str, marked: str
+) -> None:
+    places = ";677864.5;7184231.25;912.4\n"
+    (folder / "pontos.csv").write_text(f"Ponto;E;N;Cota\n{listed}{places}G11{places.replace('64', '94')}")
+    (folder / "marcas.csv").write_text(f"Imagem;Ponto;X;Y\na0;{marked};10;20\na1;{marked};11;20\n")
+    new_project(folder, height="ellipsoidal")
+    assert [mark.point for mark in read_marks(folder / "marks.csv")] == [listed, listed]
+
+
 def test_tables_that_have_our_names_stay(folder: Path) -> None:
     control = "name,latitude,longitude,ellipsoidal height\nW1,-25.45,-49.23,912.4\n"
     marks = "image,point,x,y\na0.jpg,W1,10.5,20\na1.jpg,other,1,2\n"
