@@ -418,7 +418,7 @@ def named_after(
 
 
 def pointed_after(marks: Iterable[Mark], points: Iterable[str]) -> tuple[Mark, ...]:
-    """Give marks the names of points that are written alike but for small letters, blanks, signs and zeros."""
+    """Give marks the names of points that are written alike but for small letters, blanks, signs, zeros."""
     names, alike = set(points), dict[str, list[str]]()
     for name in names:
         alike.setdefault(_plain(name), []).append(name)
