@@ -108,6 +108,7 @@ class ControlMarks:
     doubtful: what looks like a slip in others.
     assumed: points whose sigmas nobody states: they are along east, north and up in any system.
     file, cameras: where they were read, and the cameras of another program's set-up.
+    beside: files that list more of the points.
     unit_m: metres of the unit that heads state.
     height, height_head: kind of the heights where a head says it, and that head.
     level: EPSG code of the system of heights that it names.
@@ -129,6 +130,7 @@ class ControlMarks:
     height_head: str = ""
     level: str = ""
     unordered: bool = False
+    beside: tuple[Path, ...] = ()
 
 
 def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
@@ -444,9 +446,11 @@ def _text(path: Path) -> tuple[Mark, ...]:
     if delimiter is None and not by_blanks:
         # Blanks between coordinates, and the system in the first line.
         return read_control_marks(path, (1.0, 1.0), {}).marks
-    head = [cell.strip().strip('"').lower().replace(" ", "_") for cell in first.split(delimiter)]
-    if tuple(head[:4]) == _OWN:
+    cells = [cell.strip().strip('"') for cell in first.split(delimiter)]
+    # With capitals it is somebody's own table.
+    if tuple(cells[:4]) == _OWN:
         return read_marks(path)
+    head = [cell.lower().replace(" ", "_") for cell in cells]
     order = _order(head, path)
     body = lines if order is None else lines[1:]
     marks = [_mark(line, delimiter, order or (0, 1, 2, 3)) for line in body]

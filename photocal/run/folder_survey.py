@@ -384,6 +384,14 @@ def _sigma(table: TextTable, name: str, unit_m: float, assumed: float) -> Floats
     return np.where(np.isnan(cells), assumed, cells * (stated or unit_m) / unit_m)
 
 
+def named_checks(given: ControlMarks) -> ControlMarks:
+    """Points of a table that says nothing of their roles, as check points."""
+    points = given.points
+    stated = np.array([[name not in given.assumed] for name in points.names])
+    role = np.full(len(points.names), ROLES.index("check"))
+    return replace(given, points=replace(points, sigma=np.where(stated, points.sigma, np.inf), role=role))
+
+
 def _roles(words: Sequence[str]) -> tuple[list[Role], frozenset[str]]:
     """What the words of a table mean, row by row, and those that leave no doubt."""
     told = {word.lower() for word in words}

@@ -12,6 +12,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from photocal.base.errors import ConfigurationError, InputNotFoundError, OutputError
 from photocal.block.folder import read_points
+from photocal.block.model import ROLES
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.marks import read_marks
@@ -135,6 +136,27 @@ def test_points_that_list_and_marks_write_differently_are_the_same(
     (folder / "marcas.csv").write_text(f"Imagem;Ponto;X;Y\na0;{marked};10;20\na1;{marked};11;20\n")
     new_project(folder, height="ellipsoidal")
     assert [mark.point for mark in read_marks(folder / "marks.csv")] == [listed, listed]
+
+
+@pytest.mark.parametrize(("second", "role"), [("check_points.csv", "check"), ("more.csv", "control")])
+def test_points_of_two_tables_are_used_together(folder: Path, second: str, role: str) -> None:
+    """Check points in a file of their own; before, one of the files took the place of the other."""
+    (folder / "points.csv").write_text("name,E,N,H\nA,677864.5,7184231.25,912.4\nB,677870,7184241,911\n")
+    (folder / second).write_text("name,E,N,H\nC,677880.5,7184250.25,913.4\n")
+    (folder / "base.csv").write_text("name,E,N,H\nBASE,677881.5,7184255.25,920.4\n")
+    (folder / "seen.csv").write_text(
+        "Image,Point,X,Y\n" + "".join(f"a{k},{p},{10 + k},20\n" for k in (0, 1) for p in "ABC")
+    )
+    made = new_project(folder, height="ellipsoidal")
+    points = read_points(read_project(made.path).control.points or folder)
+    assert points.names == ("A", "B", "C")
+    assert [ROLES[k] for k in points.role] == ["control", "control", role]
+    # Heads in capitals are none of ours: the corner of the upper-left pixel is (0, 0).
+    assert [(mark.point, mark.x, mark.y) for mark in read_marks(folder / "marks.csv")][:1] == [
+        ("A", 9.5, 19.5)
+    ]
+    assert f"control: {second} lists 1 more points, and is used beside points.csv" in made.known
+    assert "control: base.csv is not used beside points.csv" in [*made.known, *made.doubtful]
 
 
 def test_tables_that_have_our_names_stay(folder: Path) -> None:
