@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import re
 import tomllib
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from photocal.measurement.picture_block import pictures_of_heads
 from photocal.project import read_project
 from photocal.run.campaign import stages
 from photocal.run.new_project import new_project
+from photocal.run.project_checks import check_project
 
 # Curitiba, in the zone EPSG:32722: east 677864, north 7184231.
 LATITUDE, LONGITUDE = -25.4483, -49.2311
@@ -157,6 +159,25 @@ def test_points_of_two_tables_are_used_together(folder: Path, second: str, role:
     ]
     assert f"control: {second} lists 1 more points, and is used beside points.csv" in made.known
     assert "control: base.csv is not used beside points.csv" in [*made.known, *made.doubtful]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("size_px", "[300, 400]", "no picture has the size of a camera: a0.jpg has "),
+        ("parameters", "{ c = 8.8 }", "c = 8.8 px is 0.0"),
+    ],
+)
+def test_a_camera_of_other_pictures_is_named_before_any_work(
+    folder: Path, key: str, value: str, said: str
+) -> None:
+    """People put resized pictures there, or the c that stands on the lens."""
+    made = new_project(folder)
+    written = made.path.read_text()
+    check_project(read_project(made.path))
+    made.path.write_text(re.sub(f"(?m)^{key} = .*$", f"{key} = {value}", written))
+    with pytest.raises(ConfigurationError, match=re.escape(said)):
+        check_project(read_project(made.path))
 
 
 def test_tables_that_have_our_names_stay(folder: Path) -> None:
