@@ -124,7 +124,9 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
         elif kind == ".mrk":
             seen.events.append(path)
         elif kind in _TABLES and (placed := _placed(path, seen.pictures, seen.unread)) is not None:
-            seen.positions.append(path)
+            # What cannot be right is named, and gives no picture a place.
+            if placed is not seen.pictures:
+                seen.positions.append(path)
             seen.pictures = placed
         elif kind in (*_TABLES, ".xml", ".json", ".psz"):
             control = _control(path, sizes, seen.unread, say)

@@ -21,7 +21,7 @@ from photocal.measurement.picture_block import pictures_of_heads
 from photocal.project import read_project
 from photocal.run.campaign import stages
 from photocal.run.new_project import new_project
-from photocal.run.project_checks import check_project
+from photocal.run.project_checks import check_project, facts_of_pictures
 
 # Curitiba, in the zone EPSG:32722: east 677864, north 7184231.
 LATITUDE, LONGITUDE = -25.4483, -49.2311
@@ -375,3 +375,42 @@ def test_a_folder_stands_for_the_project_file_in_it(folder: Path) -> None:
     with pytest.raises(InputNotFoundError, match=r"has no project.toml; photocal new .* writes one"):
         read_project(folder)
     assert read_project(new_project(folder).path.parent).path == folder / "project.toml"
+
+
+@pytest.mark.parametrize(
+    ("name", "rows"),
+    [
+        ("reference.txt", "#Label,X/Longitude,Y/Latitude,Z/Altitude,Yaw\na{k}.jpg,{lon},{lat},950.5,0\n"),
+        ("geo.csv", "a{k}.jpg,{lat},{lon},950.5,0.02,0.05\n"),
+        ("geo.txt", "a{k}.jpg;{lat};{lon};950.5\n"),
+        ("positions.csv", "Image,Lat,Lon,Alt\nA{k},{lat},{lon},950.5\n"),
+        ("positions.csv", "file,lat,lon,alt\nD:\\flight\\A{k}.JPG,{lat},{lon},950.5\n"),
+    ],
+)
+def test_positions_as_other_programs_list_them(folder: Path, name: str, rows: str) -> None:
+    *head, row = rows.splitlines(keepends=True)
+    lines = [row.format(k=k, lat=-25.43 - 1e-4 * k, lon=-49.27) for k in range(3)]
+    (folder / name).write_text("".join([*head, *lines]))
+    made = new_project(folder)
+    assert f'positions = "{name}"' in made.path.read_text()
+    assert "3 with a position" in made.known[0] or "3 with a position" in made.known[1]
+    facts = facts_of_pictures(read_project(made.path))
+    assert [image.latitude_deg for image in facts] == pytest.approx([-25.43, -25.4301, -25.4302])
+    assert {(image.longitude_deg, image.altitude_m) for image in facts} == {(-49.27, 950.5)}
+
+
+def test_marks_of_points_that_are_numbers_are_no_positions(folder: Path) -> None:
+    (folder / "marks.txt").write_text("".join(f"a{k}.jpg,7,{12.5 + 10 * k},33.5\n" for k in range(3)))
+    (folder / "points.csv").write_text("name,E,N,H\n7,677864.5,7184231.25,912.4\n")
+    assert "positions" not in new_project(folder, height="ellipsoidal").path.read_text().replace(
+        "_positions", ""
+    )
+    assert len(read_marks(folder / "marks.csv")) == 3
+
+
+def test_positions_that_cannot_be_right_are_not_written_down(folder: Path) -> None:
+    rows = "".join(f"a{k}.jpg,0,0,0\n" for k in range(3))
+    (folder / "zeros.csv").write_text("image,lat,lon,alt\n" + rows)
+    made = new_project(folder)
+    assert any("zeros.csv: 3 of 3 positions of the list are impossible" in line for line in made.missing)
+    assert "zeros.csv" not in made.path.read_text()
