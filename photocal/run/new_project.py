@@ -171,6 +171,7 @@ def _joined(best: ControlMarks, seen: FolderContents) -> ControlMarks:
     middle, tables, listed = np.nanmedian(best.points.values, axis=0), [best], set(best.points.names)
 
     def way(table: ControlMarks) -> tuple[object, ...]:
+        """System, unit and kind of heights, as far as a table states them."""
         return table.crs, table.unit_m, table.height, table.level, table.unordered, bool(table.marks)
 
     for other in seen.control:
