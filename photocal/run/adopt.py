@@ -17,6 +17,7 @@ import numpy as np
 from scipy import special
 
 from photocal.adjustment.adjusted import AdjustedNetwork
+from photocal.adjustment.envelope import on_one_thread
 from photocal.adjustment.groups import member_tests
 from photocal.adjustment.mounting import Positions
 from photocal.adjustment.network import covariance_matrices
@@ -183,6 +184,7 @@ SCHEMA = "photocal.adoption/1"
 FIGURES = "adoption.json"
 
 
+@on_one_thread
 def adopt(
     path: Path, output: Path, day: dt.date, progress: Progress, gcp: Path | None = None
 ) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import special
+from scipy.sparse import csr_array
 
 from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.envelope import solve
@@ -384,6 +385,9 @@ def of_heads(fitted: AdjustedNetwork) -> list[Finding]:
         return []
     layout = at.problem.layout
     equations = mounting_equations(network, layout, state)["rig"]
+    coefficients = csr_array(
+        (equations.coefficient, equations.column, equations.start), (len(equations.weight), layout.size)
+    )
     head, when = rig.head_of(network.exposures.camera), network.exposures.time
     # Exposures without a time stand in the order of their images.
     known = when is not None and np.isfinite(when).all()
@@ -400,13 +404,10 @@ def of_heads(fitted: AdjustedNetwork) -> list[Finding]:
             # Rows of their relations, by component: three turns, then three shifts.
             rows = np.array([(n // 3) * 3 * len(rig.first) + 3 * later + n % 3 for n in range(6)])
             slopes = 1.0 / give[later, ::-1].repeat(3, axis=1).T
-            design = np.zeros((layout.size, 6))
-            force = np.zeros(6)
-            for n in range(6):
-                for row, slope in zip(rows[n].tolist(), slopes[n].tolist(), strict=True):
-                    span = slice(equations.start[row], equations.start[row + 1])
-                    np.add.at(design[:, n], equations.column[span], slope * equations.coefficient[span])
-                force[n] = slopes[n] @ equations.residual[rows[n]]
+            design = np.column_stack(
+                [coefficients[own].T @ slope for own, slope in zip(rows, slopes, strict=True)]
+            )
+            force = np.sum(slopes * equations.residual[rows], axis=1)
             inside = solve(layout.envelope, at.normal.matrix, design)
             square = np.sum(slopes**2, axis=1)
             unit = np.sqrt(square / len(later))
