@@ -1,5 +1,7 @@
 """Event lists and tables of positions, judged before they are used: faults are named by their lines."""
 
+import datetime as dt
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -74,6 +76,52 @@ def listed_events(events: Floats, lines: Sequence[str]) -> ListedPositions:
     seconds = column["week"] * WEEK_S + column["seconds_of_week_s"]
     number = column["number"].astype(np.int64)
     return ListedPositions(tuple(lines), seconds, np.array(place).T, np.array(sigma).T, number)
+
+
+def read_solution_events(lines: Sequence[str], where: object) -> ListedPositions:
+    """Read the events of a solution of RTKLIB: time, latitude, longitude (deg), height (m), quality, sigmas.
+
+    Source: RTKLIB 2.4.2 Manual, appendix B.1.
+
+    raises InputMalformedError: for other coordinates, and for a line that is no position.
+    """
+    rows, names = list[tuple[float, ...]](), list[str]()
+    for number, line in enumerate(lines, 1):
+        if line.startswith("%"):
+            if re.search(r"x-ecef|e-baseline|latitude\(d'", line):
+                raise InputMalformedError(
+                    "has other coordinates than latitude and longitude in degrees",
+                    "write the solution with Lat/Lon/Height in decimal degrees",
+                    where=f"{where}, line {number}",
+                )
+        elif line.strip():
+            rows.append(_solution_row(line, f"{where}, line {number}"))
+            names.append(f"line {number}")
+    time_s, latitude, longitude, height, north, east, up = np.array(rows).reshape(-1, 7).T
+    place, sigma = np.column_stack([latitude, longitude, height]), np.column_stack([east, north, up])
+    return ListedPositions(tuple(names), time_s, place, sigma, np.full(len(names), -1))
+
+
+def _solution_row(line: str, where: str) -> tuple[float, ...]:
+    """Time (s), latitude, longitude, height, and the sigmas north, east, up of a line of a solution."""
+    wrong = InputMalformedError(
+        "is not a position (time, latitude, longitude, height, Q, ns, sigmas)",
+        "give the unchanged file of RTKLIB",
+        where=where,
+    )
+    cells = re.split(r"[,;\s]+", line.strip())
+    try:
+        if "/" in cells[0]:
+            day = cells[0].replace("/", "-")
+            time_s = dt.datetime.fromisoformat(f"{day}T{cells[1]}+00:00").timestamp()
+        else:
+            time_s = float(cells[0]) * WEEK_S + float(cells[1])
+        latitude, longitude, height, _, _, *sigmas = (float(cell) for cell in cells[2:10])
+    except (ValueError, IndexError) as refusal:
+        raise wrong from refusal
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 360.0 and np.isfinite(height)):
+        raise wrong
+    return time_s, latitude, longitude, height, *sigmas, *[np.nan] * (3 - len(sigmas))
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from photocal.measurement.listed_positions import (
     judge_listed,
     listed_events,
     read_event_lines,
+    read_solution_events,
 )
 
 Given = Callable[[ImageFacts], ImageFacts]
@@ -127,11 +128,12 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
     """Read positions; what is given puts that of a picture in place of its own.
 
     A table names the pictures, with their suffix or without. The events of a `Timestamp.MRK` list go to the
-    pictures whose names carry their numbers, or in their order when there are as many.
+    pictures whose names carry their numbers, or in their order when there are as many; so do those of RTKLIB
+    (`_events.pos`), which have no numbers.
 
     raises InputNotFoundError, InputMalformedError: also when no picture has a position in it.
     """
-    if path.suffix.lower() == ".mrk":
+    if path.suffix.lower() in (".mrk", ".pos"):
         return _given(_of_events(path, names), path, names)
     if read_text(path).lstrip().startswith(("#Label", "#CoordinateSystem")):
         crs, rows = read_references(path)
@@ -262,10 +264,16 @@ def _apart_m(facts: ImageFacts, latitude: float, longitude: float) -> float:
 
 
 def _of_events(path: Path, names: Sequence[str]) -> dict[str, _Place]:
-    events, lines = read_event_lines(read_text(path).splitlines(), path)
-    if not len(events):
-        raise InputMalformedError("has no events", "is it a Timestamp.MRK file?", where=path)
-    listed = listed_events(events, lines)
+    text = read_text(path).splitlines()
+    if path.suffix.lower() == ".pos":
+        listed = read_solution_events(text, path)
+    else:
+        listed = listed_events(*read_event_lines(text, path))
+    lines = listed.lines
+    if not lines:
+        raise InputMalformedError(
+            "has no events", "is it a Timestamp.MRK or an _events.pos file?", where=path
+        )
     _require_credible(listed, path)
     places = [tuple(row) for row in np.hstack([listed.place[:, [1, 0, 2]], listed.sigma_m]).tolist()]
     numbers = dict(zip(listed.number.tolist(), places, strict=True))
@@ -281,9 +289,15 @@ def _of_events(path: Path, names: Sequence[str]) -> dict[str, _Place]:
             "give each flight its own list",
             where=f"{path}, {lines[again[0]]}",
         )
-    if not by_name and len(names) == len(places):
-        by_name = dict(zip(sorted(names), places, strict=True))
-    return by_name
+    if by_name:
+        return by_name
+    if len(names) != len(places):
+        raise InputMalformedError(
+            f"lists {len(places)} events for {len(names)} pictures, whose names have no number of an event",
+            "leave in both what belongs together: in their order each picture gets an event",
+            where=path,
+        )
+    return dict(zip(sorted(names), places, strict=True))
 
 
 def _in_degrees(crs: str, listed: Mapping[str, tuple[float, ...]], path: Path) -> dict[str, _Place]:

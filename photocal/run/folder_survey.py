@@ -121,7 +121,7 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
             seen.raw_logs.append(path)
         elif kind == ".cam":
             _with_cameras(path, sizes, seen)
-        elif kind == ".mrk":
+        elif kind == ".mrk" or path.name.lower().endswith("_events.pos"):
             seen.events.append(path)
         elif kind in _TABLES and (placed := _placed(path, seen.pictures, seen.unread)) is not None:
             # What cannot be right is named, and gives no picture a place.

@@ -10,6 +10,8 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 from pyproj import Transformer
 
+from photocal.measurement.image_facts import read_facts
+from photocal.measurement.position_files import read_positions
 from photocal.run.new_project import new_project
 
 Place = tuple[float, float, float]
@@ -161,6 +163,66 @@ def test_lists_of_exposures_are_opened_before_they_are_written_down(
     lists = [line for line in made.missing if "Timestamp.MRK" in line]
     assert any(said in line for line in lists) if said else not lists
     assert all(line.startswith("not used: ") for line in lists) or used
+
+
+GEODETIC = (
+    "%  GPST                   latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)\n"
+)
+CARTESIAN = (
+    "%  GPST                        x-ecef(m)      y-ecef(m)      z-ecef(m)   Q  ns   sdx(m)   sdy(m)\n"
+)
+
+
+def solution(number: int, place: Place) -> str:
+    """A line of RTKLIB's list of events (2.4.2 Manual, appendix B.1)."""
+    longitude, latitude, height = place
+    return (
+        f"2026/05/18 10:18:{8.2 + 2 * number:06.3f} {latitude:14.9f} {longitude:14.9f} {height + 50:10.4f}"
+        "   1  11   0.0130   0.0140   0.0290   0.0021  -0.0012   0.0004   0.20   18.2\n"
+    )
+
+
+def by_week(number: int, place: Place) -> str:
+    """The same with week and second, between semicolons, without what stands behind the sigmas."""
+    _, _, *cells = solution(number, place).split()
+    return ";".join(["2419", f"{123500.2 + 2 * number:.3f}", *cells[:8]]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("head", "line", "places", "said"),
+    [
+        (GEODETIC, solution, POINTS, ""),
+        ("", by_week, POINTS, ""),
+        (GEODETIC, solution, POINTS[:3], "lists 3 events for 4 pictures"),
+        (
+            GEODETIC,
+            solution,
+            [(lon, lat + 0.06, h) for lon, lat, h in POINTS],
+            "the table of another flight?",
+        ),
+        (GEODETIC, solution, [*POINTS[:3], (16.47, 97.69, 460.0)], "line 5: is not a position"),
+        (CARTESIAN, solution, POINTS, "line 1: has other coordinates"),
+    ],
+    ids=["own", "week and second", "one is lost", "another flight", "beyond the pole", "geocentric"],
+)
+def test_events_of_rtklib_are_positions_of_the_pictures(
+    tmp_path: Path, head: str, line: Callable[[int, Place], str], places: Sequence[Place], said: str
+) -> None:
+    for k, place in enumerate(POINTS):
+        write_picture(tmp_path / f"P{k}.JPG", place)
+    text = head + "".join(map(line, range(4), places))
+    (tmp_path / "reach_raw_events.pos").write_text(text)
+    made = new_project(tmp_path)
+    assert ('positions = "reach_raw_events.pos"' in made.path.read_text()) == (not said)
+    lists = [one for one in made.missing if "_events.pos" in one]
+    assert any(said in one for one in lists) if said else not lists
+    if not said:
+        places_of = read_positions(tmp_path / "reach_raw_events.pos", [f"P{k}.JPG" for k in range(4)])
+        facts = places_of(read_facts(tmp_path / "P2.JPG"))
+        longitude, latitude, height = POINTS[2]
+        assert (facts.latitude_deg, facts.longitude_deg) == pytest.approx((latitude, longitude), abs=1e-9)
+        assert facts.altitude_m == pytest.approx(height + 50, abs=1e-4)
+        assert facts.position_sigma_m == pytest.approx((0.014, 0.013, 0.029))
 
 
 def test_heights_are_asked_where_a_list_of_exposures_alone_places_the_pictures(tmp_path: Path) -> None:
