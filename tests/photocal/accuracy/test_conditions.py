@@ -47,7 +47,7 @@ def test_of_a_block(tmp_path: Path) -> None:
     asked = ["check", str(folder), "-o", str(tmp_path / "out"), "--standard", "asprs-2024", "--json"]
     done = CliRunner().invoke(app, asked)
     assert done.exit_code == 0, done.output
-    integrated = json.loads(done.output)["methods"]["integrated"]
+    integrated = json.loads(done.stdout)["methods"]["integrated"]
     condition = "12 of 30 check points: stated, not tested, without the accuracy of the survey"
     assert integrated["assessment"]["standards"][0]["condition"] == condition
     assert list(integrated["check"]["survey_m"].values()) == pytest.approx(CHECK_M)
@@ -71,4 +71,4 @@ def test_of_assumed_sigmas_no_test_is_made_and_that_is_said(tmp_path: Path) -> N
     )
     assert "standard deviations that are assumed" in CliRunner().invoke(app, ["check", str(folder)]).output
     done = CliRunner().invoke(app, ["check", str(folder), "--json"])
-    assert json.loads(done.output)["methods"]["integrated"]["global_test"] is None
+    assert json.loads(done.stdout)["methods"]["integrated"]["global_test"] is None
