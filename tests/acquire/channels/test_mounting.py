@@ -42,7 +42,7 @@ def test_the_recorder_reads_what_the_vehicle_knows_of_its_mounting(
     assert {name: values[name] for name in antenna} == pytest.approx(antenna, abs=1e-7)
     result = CliRunner().invoke(app, ["info", str(done.paths[0])])
     assert "antenna 1: 0.12" in result.output
-    rig = json.loads(CliRunner().invoke(app, ["info", str(done.paths[0]), "--json"]).output)["mounting"]
+    rig = json.loads(CliRunner().invoke(app, ["info", str(done.paths[0]), "--json"]).stdout)["mounting"]
     offered = rig["vehicle/parameter"]["rig"]
     assert offered["camera_to_antenna_m"] == pytest.approx(list(antenna.values()), abs=1e-7)
     assert offered["camera_to_antenna_sigma_m"] == [0.1, 0.1, 0.1]

@@ -31,7 +31,7 @@ def test_text_and_json_say_the_same(table: Path) -> None:
     text = CliRunner().invoke(app, arguments)
     figures = CliRunner().invoke(app, [*arguments, "--json"])
     assert text.exit_code == figures.exit_code == 0
-    content = json.loads(figures.output)
+    content = json.loads(figures.stdout)
     assert content["schema"] == "photocal.check/2"
     assert content["sign"] == "product minus reference"
     assert content["components"]["h"]["mean_m"] == pytest.approx(-0.215)
@@ -45,7 +45,7 @@ def test_text_and_json_say_the_same(table: Path) -> None:
 
 def test_a_single_standard(table: Path) -> None:
     arguments = ["check", "--discrepancies", str(table), "--standard", "asprs-2024", "--json"]
-    content = json.loads(CliRunner().invoke(app, arguments).output)
+    content = json.loads(CliRunner().invoke(app, arguments).stdout)
     assert [entry["standard"] for entry in content["standards"]] == ["asprs-2024"]
     assert content["standards"][0]["vertical"]["class_cm"] == pytest.approx(21.6)
 
@@ -118,7 +118,7 @@ def test_products_are_judged_at_check_points(tmp_path: Path) -> None:
     arguments += ["--height-kind", "orthometric", "--dtm-height-kind", "orthometric", "--json"]
     answer = CliRunner().invoke(app, [*arguments, "--figures", str(tmp_path / "figures")])
     assert answer.exit_code == 0, answer.exception
-    content = json.loads(answer.output)
+    content = json.loads(answer.stdout)
     # The product lies to the east and is too high.
     assert content["components"]["E"]["mean_m"] == pytest.approx(0.20, abs=0.01)
     assert content["components"]["N"]["mean_m"] == pytest.approx(0.0, abs=0.01)

@@ -90,7 +90,7 @@ def test_the_print_of_a_study() -> None:
     """14 triangulations of the Canon study: sets and uses, each pair once, by fits of the test's own."""
     done = CliRunner().invoke(app, ["check", "--variance", str(TABLE22), "--json"])
     assert done.exit_code == 0, done.output
-    found = json.loads(done.output)["variance"]
+    found = json.loads(done.stdout)["variance"]
     with TABLE22.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     sets, uses = (indicators([row[name] for row in rows]) for name in ("set", "iop_mode"))

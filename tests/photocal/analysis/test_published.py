@@ -17,7 +17,7 @@ from photocal.cli import app
 def analysed(*arguments: str | Path) -> list[dict[str, Any]]:
     done = CliRunner().invoke(app, ["analyse", *map(str, arguments), "--json"])
     assert done.exit_code == 0, done.output
-    sets: list[dict[str, Any]] = json.loads(done.output)["sets"]
+    sets: list[dict[str, Any]] = json.loads(done.stdout)["sets"]
     return sets
 
 

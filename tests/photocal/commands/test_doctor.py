@@ -145,13 +145,13 @@ def test_missing_grids_are_named_with_their_command() -> None:
         "run: photocal fetch-grids EPSG:31982+5773",
     )
     answer = CliRunner().invoke(app, ["fetch-grids", "EPSG:31982+5773", "--dry-run", "--json"])
-    assert json.loads(answer.output)["missing"] == ["us_nga_egm96_15.tif"]
+    assert json.loads(answer.stdout)["missing"] == ["us_nga_egm96_15.tif"]
     assert "no reference system" in str(CliRunner().invoke(app, ["fetch-grids", "EPSG:1"]).exception)
 
 
 def test_every_part_has_a_line(tmp_path: Path) -> None:
     answer = CliRunner().invoke(app, ["doctor", str(tmp_path), "--json"])
-    checks = json.loads(answer.output)
+    checks = json.loads(answer.stdout)
     assert len(checks) == 12
     assert all(check["remedy"] for check in checks if check["state"] != "good")
 
@@ -164,8 +164,8 @@ def test_it_speaks_the_language_of_the_machine_or_the_one_asked_for(tmp_path: Pa
     assert any("segundos intercalares: conhecidos até" in line for line in lines)
     assert not any("warning" in line or line.startswith("error") for line in lines)
     arguments = ["doctor", str(tmp_path), "--json"]
-    english = json.loads(CliRunner().invoke(app, arguments, env=brazilian).output)
-    asked = json.loads(CliRunner().invoke(app, [*arguments, "--language", "pt-BR"]).output)
+    english = json.loads(CliRunner().invoke(app, arguments, env=brazilian).stdout)
+    asked = json.loads(CliRunner().invoke(app, [*arguments, "--language", "pt-BR"]).stdout)
     assert [check["part"] for check in english][-2:] == ["leap seconds", "key"]
     assert [check["part"] for check in asked][-2:] == ["segundos intercalares", "chave"]
     assert [check["state"] for check in asked] == [check["state"] for check in english]

@@ -76,7 +76,7 @@ class Run:
 def ppk(log: Path, folder: Path, *options: str) -> Run:
     done = CliRunner().invoke(photocal_app, ["ppk", str(log), "-o", str(folder), "--json", *options])
     assert done.exit_code == 0, (done.output, done.exception)
-    return finished(log, folder, json.loads(done.output))
+    return finished(log, folder, json.loads(done.stdout))
 
 
 def finished(log: Path, folder: Path, figures: dict[str, Any]) -> Run:

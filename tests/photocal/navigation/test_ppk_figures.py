@@ -108,7 +108,7 @@ def test_known_static_baseline(
         command += ["--rover-antenna-height", str(rover_m), "--base-antenna-height", str(base_m)]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
-    found = json.loads(done.output)["position"]
+    found = json.loads(done.stdout)["position"]
     lat, lon, height = map(float, (data / "rover_position.txt").read_text().split())
     # The mark lies below the antenna by its height; the base's antenna above the position given.
     height += (base_m or 0.0) - (rover_m or 0.0)

@@ -145,7 +145,7 @@ def test_the_normal_case_of_two_photos(tmp_path: Path) -> None:
 def test_shipped_networks_by_the_command(path: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["plan-network", str(path), "-o", str(tmp_path / "out"), "--json"])
     assert done.exit_code == 0, done.output
-    figures = json.loads(done.output)
+    figures = json.loads(done.stdout)
     written = json.loads((tmp_path / "out" / "network.json").read_text())
     assert written == figures
     assert (tmp_path / "out" / "network.png").stat().st_size > 10_000

@@ -156,7 +156,7 @@ def test_plan_command_writes_everything(area: Path, tmp_path: Path) -> None:
         app, ["plan", str(area), "-o", str(output), *CAMERA, *options, *takeoff, "--json"]
     )
     assert result.exit_code == 0, result.output
-    figures = json.loads(result.output)
+    figures = json.loads(result.stdout)
     assert figures["schema"] == "photocal.plan/1"
     assert figures["levels"][0]["height_m"] == pytest.approx(100.05, abs=0.005)
     assert {finding["code"] for finding in figures["findings"]} == {"smear", "interval-too-short"}

@@ -155,7 +155,7 @@ def test_contours_of_a_cone_are_circles(model: Path, tmp_path: Path, ending: str
     assert not any((line.xyz[0] == line.xyz[-1]).all() for line in outer)
     # Nothing crosses the corner without heights.
     assert not any(((line.xyz[:, :2] > (EAST + 40, NORTH + 40)).all(axis=1)).any() for line in lines)
-    figures = json.loads(done.output)
+    figures = json.loads(done.stdout)
     assert (figures["lines"], figures["crs"]) == (len(lines), "SIRGAS 2000 / UTM zone 22S")
 
 

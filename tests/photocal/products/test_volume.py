@@ -25,7 +25,7 @@ PUBLISHED = ["volume", "--radius", "6.479", "--radius-sigma", "0.003", "--height
 
 def test_published_volume_of_the_tank() -> None:
     told = CliRunner().invoke(app, [*PUBLISHED, "0.004", "--json"])
-    figures = json.loads(told.output)["by_mean_radius"]
+    figures = json.loads(told.stdout)["by_mean_radius"]
     assert figures["volume_m3"] == pytest.approx(1252.8222, abs=5e-4)
     assert figures["variance_m6"] == pytest.approx(1.62432, abs=5e-5)
     assert figures["radius_variance_m6"] == pytest.approx(1.3461, abs=5e-5)
@@ -148,7 +148,7 @@ def test_plot_and_text(tank_table: str, tmp_path: Path) -> None:
     assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
     assert "section 1, 4, 5 lies outside its 95 % interval" in told.output
     assert "by mean radius and height: V = 1252.6" in told.output
-    figures = json.loads(CliRunner().invoke(app, [*arguments, "--json"]).output)
+    figures = json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout)
     assert figures["schema"] == "photocal.volume/1"
     assert figures["sections"][4]["largest_residual_m"] == pytest.approx(0.037, abs=5e-4)
     assert figures["by_mean_radius"]["volume_m3"] == pytest.approx(

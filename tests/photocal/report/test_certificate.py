@@ -382,7 +382,7 @@ def test_command_writes_both_files_and_says_where(run_folder: Path, tmp_path: Pa
     arguments = ["certificate", str(run_folder), "-o", str(output), "--date", "2026-11-21", "--json"]
     answer = CliRunner().invoke(app, arguments)
     assert answer.exit_code == 0, answer.output
-    said = json.loads(answer.output)
+    said = json.loads(answer.stdout)
     assert said["number"].startswith("PC-20261121-")
     assert (output / "certificate.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     assert (output / "certificate.pdf").read_bytes().startswith(b"%PDF")

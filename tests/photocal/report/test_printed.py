@@ -17,7 +17,7 @@ STUDY = Path(__file__).parents[3] / "configs" / "studies" / "phantom4pro" / "cal
 def test_printed_calibration_is_refused_for_what_is_wrong_with_it() -> None:
     answer = CliRunner().invoke(app, ["verify", str(STUDY), "--json"])
     assert answer.exit_code != 0
-    said = json.loads(answer.output)
+    said = json.loads(answer.stdout)
     assert said["plausible"] is False
     found = {(f["code"], f["subject"]): f for f in said["findings"]}
     lost = found["correlation_sign_lost", "K1-K2"]
@@ -49,7 +49,7 @@ def test_pixel_size_of_its_text_requires_a_new_calibration(tmp_path: Path) -> No
     path = tmp_path / "p.toml"
     text = STUDY.read_text(encoding="utf-8").replace("pixel_size_mm = 0.0241", "pixel_size_mm = 2.41e-6")
     path.write_text(text, encoding="utf-8")
-    said = json.loads(CliRunner().invoke(app, ["verify", str(path), "--json"]).output)
+    said = json.loads(CliRunner().invoke(app, ["verify", str(path), "--json"]).stdout)
     assert said["acceptance"]["verdict"] == "new_calibration"
 
 

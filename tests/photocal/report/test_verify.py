@@ -108,7 +108,7 @@ def test_one_changed_digit_in_any_input_is_named(issued: Path, data: st.DataObje
         path.write_bytes(content[:at] + bytes([other]) + content[at + 1 :])
         answer = call("verify", issued, "--json")
         assert answer.exit_code != 0
-        said = json.loads(answer.output)
+        said = json.loads(answer.stdout)
         assert said["verified"] is False
         assert len(said["changed_inputs"]) == 1
         assert name in said["changed_inputs"][0]
@@ -180,7 +180,7 @@ def test_what_a_person_gave_is_part_of_the_number(elsewhere: Path, steps: tuple[
     answer = call("verify", elsewhere, "--json")
     assert answer.exit_code != 0
     assert "number" in str(answer.exception)
-    assert json.loads(answer.output)["verified"] is False
+    assert json.loads(answer.stdout)["verified"] is False
 
 
 def test_changed_page_is_named(elsewhere: Path) -> None:
