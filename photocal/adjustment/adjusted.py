@@ -34,7 +34,7 @@ def determined(network: Network, kept: Flags) -> Flags:
     loses = np.bincount(rays.point[~kept], minlength=size) > 0
     some = np.flatnonzero(kept & (loses & enough & ~known)[rays.point])
     point, image = rays.point[some], rays.image[some]
-    towards = points.values[point] - network.exposures.values[image, 3:]
+    towards = points.values[point] - network.exposures.started[image, 3:]
     towards /= np.linalg.norm(towards, axis=1)[:, None]
     mean = np.column_stack([np.bincount(point, towards[:, axis], size) for axis in range(3)])
     c = np.array([camera.value("c") for camera in network.cameras])[network.exposures.camera[image]]

@@ -60,7 +60,7 @@ def layout(network: Network, ray_start: Integers) -> Layout:
     mark_together(ray_start, network.rays.image, together)
     rig = network.rig
     together[rig.first, rig.second] = together[rig.second, rig.first] = True
-    position, last = order(csr_array(together), network.exposures.values[:, 3:])
+    position, last = order(csr_array(together), network.exposures.started[:, 3:])
     parameters = own_parameters(network)
     most = parameters.shape[1]
     width = next(width for width in WIDTHS if width >= POSE + most)

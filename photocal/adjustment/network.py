@@ -44,6 +44,7 @@ class ExteriorOrientations(Columns):
         image departs from them; None at rest. Their product with the readout moves it; a departure is an
         unknown of the image whose sigma is that of the motion times the camera's given readout.
     time, temperature (n,): of the exposures, s and degrees Celsius, NaN where not known; for the analysis.
+    start (n, 6): start values, where they are other than what was observed.
     """
 
     camera: Integers
@@ -53,6 +54,12 @@ class ExteriorOrientations(Columns):
     motion_sigma: Floats | None = None
     time: Floats | None = None
     temperature: Floats | None = None
+    start: Floats | None = None
+
+    @property
+    def started(self) -> Floats:
+        """Start values, (n, 6)."""
+        return self.values if self.start is None else self.start
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,8 @@ def start_state(network: Network) -> State:
     exposures = network.exposures
     return State(
         np.array([camera.values for camera in network.cameras]).reshape(-1, len(PARAMETERS)),
-        matrix_from_angles(exposures.values[:, :3]),
-        exposures.values[:, 3:].copy(),
+        matrix_from_angles(exposures.started[:, :3]),
+        exposures.started[:, 3:].copy(),
         network.points.values.copy(),
         np.concatenate(
             [network.mounting.values, np.zeros(len(network.lasers.common_sigma)), network.rig.values.ravel()]

@@ -15,7 +15,6 @@ from photocal.adjustment.groups import groups_of_rays
 from photocal.adjustment.network import Network
 from photocal.adjustment.solution import ComponentFactor, Group, Solution
 from photocal.adjustment.solver import Iteration
-from photocal.adjustment.state import State
 from photocal.base.arrays import Integers
 from photocal.base.errors import IllPosedError, NotConvergedError
 
@@ -63,13 +62,13 @@ def estimate_components(
     rays: RayGroups | None = None,
     hold: Collection[str] = (),
     report: Callable[[Iteration], None] | None = None,
-    start: State | None = None,
+    start: AdjustedNetwork | None = None,
     settled: float = SETTLED,
 ) -> VarianceComponents:
     """Estimate the variance of each group of observations.
 
     hold: groups whose variance stays as it is given.
-    start: of a minimum with other standard deviations: the last round's adjustment is then the last.
+    start: the network, adjusted: the first round has it, and the last round's adjustment is then the last.
     settled: share of itself by which a variance may still change.
     raises IllPosedError: when the network is singular, or a variance runs to zero.
     raises NotConvergedError: when the variances do not settle.
@@ -79,13 +78,11 @@ def estimate_components(
     vanished = 1e-6
     rays = rays or rays_together(network)
     factors: dict[str, float] = {}
-    state = start
     # With less redundancy a group says nothing about its own variance.
     fewest = 1.0
+    scaled, fitted = network, start or adjusted_network(network, report)
     for rounds in range(1, most_rounds + 1):
-        scaled = with_factors(network, rays, factors)
-        fitted = adjusted_network(scaled, report, state)
-        solution, state = fitted.solution, fitted.state
+        solution = fitted.solution
         groups = groups_of_rays(scaled, solution, *rays)
         groups += [group for group in solution.groups if group.name != "image"]
         free = [g for g in groups if g.name not in hold and g.redundancy > fewest]
@@ -103,6 +100,8 @@ def estimate_components(
                     "hold its standard deviation: its residuals do not determine it",
                     where=f"group {name}",
                 )
+        scaled = with_factors(network, rays, factors)
+        fitted = adjusted_network(scaled, report, fitted.state)
     raise NotConvergedError(
         f"the variance components have not settled after {most_rounds} rounds",
         "hold the groups with the least redundancy, or look for gross errors first",

@@ -5,6 +5,7 @@ JSON that says one thing: no key twice in an object, and finite numbers only.
 
 import json
 import math
+import re
 import tomllib
 from collections import Counter
 from collections.abc import Mapping
@@ -52,11 +53,27 @@ def read_tables(path: Path) -> dict[str, Any]:
         content = parse_toml(text)
     except OSError as refusal:
         raise InputNotFoundError(_unreadable(refusal), "check the path", where=path) from refusal
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as failure:
-        raise ConfigurationError(f"is not valid TOML ({failure})", "correct it", where=path) from failure
+    except UnicodeDecodeError as failure:
+        raise ConfigurationError("is not UTF-8", "save it as UTF-8", where=path) from failure
+    except tomllib.TOMLDecodeError as failure:
+        raise ConfigurationError(
+            f"is not valid TOML ({failure})", _remedy(text, failure), where=path
+        ) from failure
     if not text.strip():
         raise InputNotFoundError("is empty", "was it written completely?", where=path)
     return content
+
+
+def _remedy(text: str, failure: tomllib.TOMLDecodeError) -> str:
+    """What people write who have not met TOML before: paths of Windows, and text as letters have it."""
+    place = re.search(r"at line (\d+)", str(failure))
+    line = text.splitlines()[int(place[1]) - 1] if place else ""
+    if "\\" in line:
+        return "write paths with /, not with \\"
+    _, _, value = line.partition("=")
+    if re.match(r"\s*[^\W\d]|\s*[\u2018-\u201f\u00ab]", value):
+        return 'put text in straight quotes: "text"'
+    return "correct it"
 
 
 def _refuse_other_encodings(octets: bytes, path: Path) -> None:
@@ -98,18 +115,20 @@ def _unreadable(refusal: OSError) -> str:
 
 def _complaint(path: object, error: Any) -> ConfigurationError:
     """Say in words what is wrong with a key."""
-    # What stands in angle brackets is the name of a variant, not of a key.
+    # What has brackets is the name of a variant, not of a key.
     parts = (str(part + 1) if isinstance(part, int) else part for part in error["loc"])
-    key = ".".join(part for part in parts if not part.startswith("<"))
+    key = ".".join(part for part in parts if not re.search(r"[<\[]", part))
+    text = error["msg"].removeprefix("Value error, ")
     if error["type"] in _UNKNOWN:
         return ConfigurationError(f"unknown key {key}", "correct its spelling or remove it", where=path)
     if error["type"] == "missing":
         return ConfigurationError(f"key {key} is missing", "add it", where=path)
     if error["type"] == "value_error" and isinstance(error["input"], dict):
-        message = error["msg"].removeprefix("Value error, ")
-        return ConfigurationError(f"{key}: {message}" if key else message, "correct the file", where=path)
+        return ConfigurationError(f"{key}: {text}" if key else text, "correct the file", where=path)
+    if "tuple" in error["type"] or "Tuple" in text:
+        text = text.replace("Tuple", "list").replace("tuple", "list").replace(" after validation", "")
     return ConfigurationError(
-        f"{key} = {error['input']!r}: {error['msg'].removeprefix('Value error, ').lower()}",
+        f"{key} = {error['input']!r}: {text.lower()}",
         "correct the value",
         where=path,
     )

@@ -1,5 +1,6 @@
 """What operating systems do differently: locks, private and user's folders, signals, pseudo terminals."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -39,6 +40,9 @@ if sys.platform == "win32":
         state = (ctypes.c_uint64 * 8)()
         ctypes.cast(state, ctypes.POINTER(ctypes.c_uint32))[0] = ctypes.sizeof(state)
         return state[2] if ctypes.windll.kernel32.GlobalMemoryStatusEx(state) else None
+
+    def keep_memory() -> None:
+        """Do nothing: the C library here has no such choice."""
 
     def is_private(_: Path) -> bool:
         """Say that it is."""
@@ -125,6 +129,16 @@ else:
             known = "SC_PHYS_PAGES" in names and "SC_PAGE_SIZE" in names
             return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if known else None
         return min(free, _of_container(), _of_limit())
+
+    def keep_memory() -> None:
+        """Keep the memory of arrays for later ones: the system clears each page that it gives anew."""
+        import ctypes
+
+        with contextlib.suppress(AttributeError):
+            # Of the GNU library alone: from the heap all of it, and none of that back (`man mallopt`).
+            change, trim_threshold, mmap_max = ctypes.CDLL(None).mallopt, -1, -4
+            change(mmap_max, 0)
+            change(trim_threshold, -1)
 
     def _of_limit() -> int:
         """What a limit of this process's own addresses (`ulimit -v`) leaves; beyond all without one."""

@@ -146,13 +146,17 @@ class ObjectPoints:
 
     def with_ties(self, names: tuple[str, ...], values: Floats) -> "ObjectPoints":
         """Add tie points behind these; values (n, 3): m, NaN where they are not known."""
-        ties = ObjectPoints(names, values)
+        return self.plus(ObjectPoints(names, values))
+
+    def plus(self, more: "ObjectPoints") -> "ObjectPoints":
+        """Add points of other names behind these."""
+        crosses = [np.zeros((len(p.names), 3)) if p.cross is None else p.cross for p in (self, more)]
         return ObjectPoints(
-            self.names + names,
-            np.vstack([self.values, values]),
-            np.vstack([self.sigma, ties.sigma]),
-            np.concatenate([self.role, ties.role]),
-            None if self.cross is None else np.vstack([self.cross, np.zeros((len(names), 3))]),
+            self.names + more.names,
+            np.vstack([self.values, more.values]),
+            np.vstack([self.sigma, more.sigma]),
+            np.concatenate([self.role, more.role]),
+            None if self.cross is None and more.cross is None else np.vstack(crosses),
         )
 
 

@@ -38,7 +38,7 @@ def straightened(network: Network, refraction: float, *, curved: bool) -> Networ
     The start orientation is near enough: what it is wrong by changes these small corrections in proportion.
     """
     rays, exposures = network.rays, network.exposures
-    images = OrientedImages(network.image_names, network.cameras, exposures.camera, exposures.values)
+    images = OrientedImages(network.image_names, network.cameras, exposures.camera, exposures.started)
     points = network.points.values[rays.point]
     risen = points.copy()
     risen[:, 2] += apparent_rise(points - images.station[rays.image], refraction, curved=curved)
@@ -95,7 +95,33 @@ def with_start_values(
         open_ones = np.eye(3) - known[partly]
         away = (placed - points)[partly]
         points[partly] += np.einsum("nab,nb->na", open_ones, away)
+    exposures = _above_control(block.cameras, exposures, rays, points, known)
     return exposures, _intersected(block.cameras, exposures, rays, points, known, surveyed)
+
+
+def _above_control(
+    cameras: tuple[Camera, ...], exposures: ExteriorOrientations, rays: Rays, points: Floats, known: Floats
+) -> ExteriorOrientations:
+    """Start elsewhere where cameras that are not held see most of the control behind them.
+
+    Heights of positions and of control count from other surfaces then: all begin shifted alike, to where the
+    rays of control meet it, and what was observed stays.
+    """
+    moves = (exposures.sigma[:, 3:] != 0.0).all(axis=1)
+    seen = rays.rows((np.trace(known, axis1=1, axis2=2) > 2.5)[rays.point])
+    if not moves.all() or 2 * _from_behind(exposures, seen, points).sum() <= len(seen.image):
+        return exposures
+    rotation = matrix_from_angles(exposures.values[:, :3])[seen.image]
+    centre = exposures.values[seen.image, 3:]
+    slopes = slopes_of(cameras, exposures.camera[seen.image], seen.plane)
+    meeting = intersect(seen.point, len(points), centre, rotation, slopes, np.ones(len(slopes)))
+    met = np.isfinite(meeting).all(axis=1)
+    if not met.any():
+        return exposures
+    start = exposures.values.copy()
+    start[:, 3:] += np.median((points - meeting)[met], axis=0)
+    shifted = replace(exposures, start=start)
+    return exposures if _from_behind(shifted, seen, points).any() else shifted
 
 
 def _intersected(
@@ -118,8 +144,8 @@ def _intersected(
     rays = rays.rows(some)
     camera = exposures.camera[rays.image]
     slopes = slopes_of(cameras, camera, rays.plane)
-    rotation = matrix_from_angles(exposures.values[:, :3])[rays.image]
-    centre = exposures.values[rays.image, 3:]
+    rotation = matrix_from_angles(exposures.started[:, :3])[rays.image]
+    centre = exposures.started[rays.image, 3:]
     start = intersect(rays.point, len(points), centre, rotation, slopes, np.ones(len(slopes)))
     miss = ray_residuals(rotation, centre, points[rays.point], slopes)
     # Nobody has used the coordinates of a check point before: a slip of the pen stands there unnoticed.
@@ -142,10 +168,15 @@ def _intersected(
 
 def behind_cameras(exposures: ExteriorOrientations, rays: Rays, points: Floats) -> Flags:
     """Points that lie behind a camera that sees them, (points,)."""
-    axis = matrix_from_angles(exposures.values[:, :3])[rays.image, 2]
-    away = points[rays.point] - exposures.values[rays.image, 3:]
-    behind = np.einsum("ni,ni->n", axis, away) >= 0.0
+    behind = _from_behind(exposures, rays, points)
     return np.bincount(rays.point[behind], minlength=len(points)) > 0
+
+
+def _from_behind(exposures: ExteriorOrientations, rays: Rays, points: Floats) -> Flags:
+    """Rays that come from a point behind the camera, (rays,)."""
+    axis = matrix_from_angles(exposures.started[:, :3])[rays.image, 2]
+    away = points[rays.point] - exposures.started[rays.image, 3:]
+    return np.asarray(np.einsum("ni,ni->n", axis, away) >= 0.0)
 
 
 @dataclass(frozen=True)
@@ -220,7 +251,7 @@ def assemble(block: Block) -> NetworkOfBlock:
     later = any(head.values[LATER] or head.sigma[LATER] for head in block.heads)
     if later or any(camera.shutter != "global" for camera in block.cameras):
         turn = np.nan_to_num(frame.derivative(block.images.values[:, 3:]))
-        motion, motion_sigma, known = motion_of(block, exposures.values[:, 3:], positions, turn)
+        motion, motion_sigma, known = motion_of(block, exposures.started[:, 3:], positions, turn)
         exposures = replace(exposures, motion=motion, motion_sigma=motion_sigma)
         # Where nothing is known of the flight a readout scales nothing: it cannot be an unknown.
         flown = [known[block.images.camera == k].any() for k in range(len(cameras))]
@@ -233,8 +264,8 @@ def assemble(block: Block) -> NetworkOfBlock:
         [camera.id for camera in cameras],
         block.images.camera,
         block.images.exposure,
-        matrix_from_angles(exposures.values[:, :3]),
-        exposures.values[:, 3:],
+        matrix_from_angles(exposures.started[:, :3]),
+        exposures.started[:, 3:],
         exposures.motion_sigma,
     )
     network = Network(

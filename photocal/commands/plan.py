@@ -16,7 +16,7 @@ from photocal.planning.options import (
 @spread
 def plan(
     area: Annotated[
-        Path, argument("Polygon: GeoJSON, KML, or CSV with lat_deg and lon_deg.", metavar="AREA")
+        Path, argument("Polygon: GeoJSON, KML, KMZ, or CSV with lat_deg and lon_deg.", metavar="AREA")
     ],
     output: Annotated[Path, option("Folder for the plan.", "-o", "--output")],
     flight: FlightOptions,

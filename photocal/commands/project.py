@@ -84,10 +84,12 @@ def adopt(
     """
     import datetime as dt
 
+    from photocal.base.operating_system import keep_memory
     from photocal.findings.texts import catalogue, spoken
     from photocal.run.adopt import adopt as adopted
     from photocal.run.adoption_figures import adoption_text
 
+    keep_memory()
     say = catalogue(spoken(language))
     figures = adopted(project, output, dt.datetime.now().astimezone().date(), progress, gcp)
     answer(

@@ -11,6 +11,7 @@ import re
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -177,6 +178,12 @@ class _Octets:
             )
 
 
+@cache
+def _codes(layout: str) -> str:
+    """One letter for each value of a layout."""
+    return "".join(int(count or 1) * code for count, code in re.findall(r"(\d*)([A-Za-z])", layout))
+
+
 class _Rows:
     """Goes through a text file by the steps of `_Octets`: a row has what an entry has, without counts."""
 
@@ -201,10 +208,10 @@ class _Rows:
 
     def take(self, layout: str) -> tuple[Any, ...]:
         """Read numbers, one for each of a layout (as of `struct`)."""
-        codes = "".join(int(count or 1) * code for count, code in re.findall(r"(\d*)([A-Za-z])", layout))
+        codes, place = _codes(layout), self.place
         pairs = zip(codes, self._words(len(codes)), strict=True)
-        values = ((code, number(cell, self.place, self.what)) for code, cell in pairs)
-        return tuple(value if code == "d" else key_of(value, self.place) for code, value in values)
+        values = ((code, number(cell, place, self.what)) for code, cell in pairs)
+        return tuple(value if code == "d" else key_of(value, place) for code, value in values)
 
     def model(self) -> tuple[str, tuple[float, ...]]:
         """Read a camera model that stands before the size, and the size."""
@@ -235,13 +242,14 @@ class _Rows:
 
     def marks(self) -> tuple[Floats, Integers]:
         """Read the marks of the rest of a row, and the keys of their points."""
-        table = self._table(3)
-        return table[:, :2], np.array([key_of(v, self.place) for v in table[:, 2].tolist()], dtype=np.int64)
+        table, place = self._table(3), self.place
+        return table[:, :2], np.array([key_of(v, place) for v in table[:, 2].tolist()], dtype=np.int64)
 
     def track(self) -> None:
         """Pass over the images that show a point: these say it, too."""
+        place = self.place
         for value in self._table(2).ravel().tolist():
-            key_of(value, self.place)
+            key_of(value, place)
 
     def _words(self, count: int, more: int = 0) -> list[str]:
         if len(self.cells) < count + more:

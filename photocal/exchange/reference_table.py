@@ -35,6 +35,9 @@ def read_references(path: Path) -> tuple[str, tuple[PointEntry, ...]]:
         raise InputMalformedError("has no header that begins with #Label", "export it with one", where=path)
     header = [cell.strip().lower() for cell in next(csv.reader(io.StringIO(lines[0][1])))]
     places = [_column(header, names, path) for names in _COORDINATES]
+    # Heads of degrees stand above degrees alone.
+    if not crs and any("longitude" in cell for cell in header):
+        crs = "EPSG:4326"
     # One for all coordinates, of the plane and of the height, or one each; -1 where there is none.
     given = [k for k, cell in enumerate(header) if cell.startswith("accuracy") and "(m)" in cell]
     accuracies = {1: given * 3, 2: [*given[:1], *given], 3: given}.get(len(given), [-1] * 3)

@@ -197,7 +197,7 @@ def with_shutters(block: Block) -> Block:
     images, spread = block.images, network.exposures.motion_sigma
     if spread is not None:
         # Rates as they were observed: what is expected of them is asked anew of each network.
-        centre = network.exposures.values[:, 3:]
+        centre = network.exposures.started[:, 3:]
         turn = assembly.frame.derivative(assembly.frame.to_given(centre))
         motion, sigma, _ = observed_motion(block, centre, network.positions, turn)
         motion[:, :3] = np.einsum("nab,nb->na", np.linalg.inv(turn), motion[:, :3])

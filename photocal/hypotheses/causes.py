@@ -198,7 +198,9 @@ def candidates(
         control += [point for point in contradiction.points if point not in control]
     rows = np.array([(point, axis) for point in control for axis in range(3)], dtype=np.int64).reshape(-1, 2)
     # What is added takes from the measurement what it gives to the computed coordinates.
-    rays = -np.array([one.displacement for one in fields]).reshape(len(fields), *network.rays.plane.shape)
+    rays = np.empty((len(fields), *network.rays.plane.shape))
+    for row, one in zip(rays, fields, strict=True):
+        np.negative(one.displacement, out=row)
     trends = _trends(network, table)
     of_positions = [_of_positions(network, placed), *(_whitened(network, one) for one in trends.values())]
     added = Added(rays, np.vstack(of_positions), rows)
@@ -231,7 +233,8 @@ def candidates(
     again = tuple(k for k, one in enumerate(fields) if (one.code, subject_of(network, one)) in beside)
     lengths = np.concatenate(
         [
-            np.einsum("trk,rk->t", rays**2, network.rays.sigma**-2.0),
+            # One by one: all of them together are a large part of the memory.
+            [np.sum((row / network.rays.sigma) ** 2) for row in rays],
             np.sum(added.positions**2, axis=1),
             network.points.weight[rows[:, 0], rows[:, 1], rows[:, 1]],
         ]

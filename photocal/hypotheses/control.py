@@ -128,8 +128,8 @@ def begun_at_rays(network: Network, points: Integers) -> Network:
     rays, exposures, values = network.rays, network.exposures, network.points.values
     rays = rays.rows(np.isin(rays.point, points))
     slopes = slopes_of(network.cameras, exposures.camera[rays.image], rays.plane)
-    rotation = matrix_from_angles(exposures.values[:, :3])[rays.image]
-    centre = exposures.values[rays.image, 3:]
+    rotation = matrix_from_angles(exposures.started[:, :3])[rays.image]
+    centre = exposures.started[rays.image, 3:]
     miss = ray_residuals(rotation, centre, values[rays.point], slopes)
     # In principal distances: attitudes to start from may be degrees off.
     near = np.isin(np.arange(len(values)), rays.point[miss < _ASTRAY])

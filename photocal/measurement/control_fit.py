@@ -93,6 +93,9 @@ def fit_control(
         fit = _beside_positions(rays.met[judged], target[judged], adjusted)
     else:
         fit = _consistent(rays.met[judged], target[judged], sigma, gsd, placed=placed)
+        turned = _consistent(rays.met[judged], target[judged][:, [1, 0, 2]], sigma, gsd, placed=placed)
+        if _exchanged(fit, turned, level=start.frame != "local"):
+            fit = replace(turned, move=None, fits=np.zeros_like(fit.fits), why="control-exchanged")
         if fit.move is None and placed:
             fit = replace(_beside_positions(rays.met[judged], target[judged], adjusted), why=fit.why)
     move, controlled = fit.move or _SAME, fit.move is not None and not fit.why
@@ -247,6 +250,22 @@ def _consistent(source: Floats, target: Floats, sigma: Floats, gsd: float, *, pl
         fits[worst] = False
 
 
+def _exchanged(typed: _Fit, turned: _Fit, *, level: bool) -> bool:
+    """Whether control fits with E and N exchanged, and as it is typed not, or only from below the ground.
+
+    Exchanged axes mirror the ground. Where that is flat they fit as well, seen by cameras that look up.
+
+    level: whether heights are such of a map, whose ground is seen from above.
+    """
+    # The tilt beyond which cameras that looked down look up.
+    upright = np.cos(np.radians(60.0))
+    if turned.move is None or turned.move.rotation[2, 2] < upright:
+        return False
+    if typed.move is None or (level and typed.move.rotation[2, 2] < -upright):
+        return bool(turned.fits.sum() >= typed.fits.sum())
+    return bool(turned.fits.all() and not typed.fits.all())
+
+
 def _turned(move: Similarity, *, whole: bool) -> float:
     """By how much a move turns, or tilts: cameras that look down tell the vertical, no direction."""
     return float(np.trace(move.rotation) if whole else move.rotation[2, 2]) * -1.0
@@ -365,6 +384,8 @@ def _with_what_fits(start: Block, adjusted: AdjustedTies, rays: _Rays, keeps: Fl
     tie = points.of_role("tie")
     rows = {name: k for k, name in enumerate(start.images.names)}
     images = start.images.some(np.array([rows[name] for name in alone.images.names], dtype=np.int64))
+    # A camera none of whose images is oriented has gone with them.
+    images = replace(images, camera=alone.images.camera)
     sigma = images.sigma.copy()
     if alone.datum != "free":
         sigma[:, 3:] = alone.images.sigma[:, 3:]

@@ -29,6 +29,7 @@ from pathlib import Path
 import numpy as np
 
 from photocal.base.arrays import Floats, Integers
+from photocal.base.geodesy import enu_offsets
 from photocal.base.policy import policy
 from photocal.exchange.pinhole import Pinhole, from_pinhole
 from photocal.findings.finding import Finding
@@ -319,8 +320,8 @@ def _sigma_along(camera: Camera, q: Floats, apart: Floats, names: Sequence[str])
 
 
 # More heads than this are no frame but a count of pictures; fewer exposures show no pattern; a head misses a
-# few exposures only; pictures of one exposure are this close in time, s.
-MOST_HEADS, FEWEST_EXPOSURES, MISSED, TOGETHER_S = 12, 2, 0.5, 3.0
+# few exposures only; pictures of one exposure are this close in time, s, and in place, m.
+MOST_HEADS, FEWEST_EXPOSURES, MISSED, TOGETHER_S, TOGETHER_M = 12, 2, 0.5, 3.0, 10.0
 _PARTS = re.compile(r"[_\-. ]+")
 Keys = dict[Path, tuple[str, str]]
 
@@ -394,7 +395,12 @@ def _frame(pictures: Mapping[Path, ImageFacts], keys: Keys, by: str) -> Iterable
     # Pictures are read by their names.
     if len({path.name for path in head}) < len(head):
         return
-    if all(_together([pictures[path] for path in paths]) for paths in shared.values()):
+    groups = [[pictures[path] for path in paths] for paths in shared.values()]
+    apart = [away for group in groups if np.isfinite(away := _apart_m(group))]
+    # Two flights of one camera may have the same times, or none; few exposures have a wrong position.
+    if apart and np.median(apart) > TOGETHER_M:
+        return
+    if all(map(_together, groups)):
         order = sorted(often, key=lambda name: _rank(name, head, pictures))
         yield HeadGroup(tuple(order), head, {path: keys[path][1] for path in head}, by)
 
@@ -409,6 +415,15 @@ def _together(facts: Sequence[ImageFacts]) -> bool:
     captures = {tags[key] for tags in stated for key in ("CaptureUUID", "CaptureId") if key in tags}
     times = [datetime.fromisoformat(image.taken).timestamp() for image in facts if image.taken]
     return len(captures) < 2 and (not times or max(times) - min(times) < TOGETHER_S)
+
+
+def _apart_m(facts: Sequence[ImageFacts]) -> float:
+    """How far the first of some pictures was taken from the farthest other one; NaN without positions."""
+    latitude, longitude = np.transpose([(image.latitude_deg, image.longitude_deg) for image in facts])
+    east, north, _ = enu_offsets(
+        latitude, longitude, np.zeros(len(facts)), np.array([latitude[0], longitude[0], 0.0])
+    ).T
+    return float(np.max(np.hypot(east, north)))
 
 
 def _rank(name: str, head: Mapping[Path, str], pictures: Mapping[Path, ImageFacts]) -> tuple[int, str]:

@@ -1,5 +1,6 @@
 """Marks of points, by hand or found as targets, and control with its marks, as we and others write them."""
 
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
@@ -107,6 +108,7 @@ class ControlMarks:
     doubtful: what looks like a slip in others.
     assumed: points whose sigmas nobody states: they are along east, north and up in any system.
     file, cameras: where they were read, and the cameras of another program's set-up.
+    beside: files that list more of the points.
     unit_m: metres of the unit that heads state.
     height, height_head: kind of the heights where a head says it, and that head.
     level: EPSG code of the system of heights that it names.
@@ -128,6 +130,7 @@ class ControlMarks:
     height_head: str = ""
     level: str = ""
     unordered: bool = False
+    beside: tuple[Path, ...] = ()
 
 
 def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
@@ -417,15 +420,21 @@ def named_after(
 
 
 def pointed_after(marks: Iterable[Mark], points: Iterable[str]) -> tuple[Mark, ...]:
-    """Give marks the names of points that are written alike but for small letters, blanks and signs."""
+    """Give marks the names of points that are written alike but for small letters, blanks, signs, zeros."""
     names, alike = set(points), dict[str, list[str]]()
     for name in names:
-        alike.setdefault(folded(name), []).append(name)
+        alike.setdefault(_plain(name), []).append(name)
     meant = {word: same[0] for word, same in alike.items() if len(same) == 1}
     return tuple(
-        mark if mark.point in names else replace(mark, point=meant.get(folded(mark.point), mark.point))
+        mark if mark.point in names else replace(mark, point=meant.get(_plain(mark.point), mark.point))
         for mark in marks
     )
+
+
+def _plain(name: str) -> str:
+    """A name as it is compared: GCP-01 is gcp1, but 1-01 is not 11."""
+    without_zeros = re.sub(r"(?<!\d)0+(?=\d)", "", folded(name))
+    return re.sub(r"(?<!\d) | (?!\d)", "", without_zeros)
 
 
 def _text(path: Path) -> tuple[Mark, ...]:
@@ -437,9 +446,11 @@ def _text(path: Path) -> tuple[Mark, ...]:
     if delimiter is None and not by_blanks:
         # Blanks between coordinates, and the system in the first line.
         return read_control_marks(path, (1.0, 1.0), {}).marks
-    head = [cell.strip().strip('"').lower().replace(" ", "_") for cell in first.split(delimiter)]
-    if tuple(head[:4]) == _OWN:
+    cells = [cell.strip().strip('"') for cell in first.split(delimiter)]
+    # With capitals it is somebody's own table.
+    if tuple(cells[:4]) == _OWN:
         return read_marks(path)
+    head = [cell.lower().replace(" ", "_") for cell in cells]
     order = _order(head, path)
     body = lines if order is None else lines[1:]
     marks = [_mark(line, delimiter, order or (0, 1, 2, 3)) for line in body]

@@ -7,6 +7,7 @@ with minutes and seconds, decimal commas and groups of thousands. What is no pla
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,10 +75,14 @@ def read_places(
     table = read_under(path, {**heads, "Z": (height,)}, (*required, "point", *"XYZ"))
     rows = list(zip(*(table.texts(name) for name in ("point", *"XYZ")), strict=True))
     filled = [k for k, row in enumerate(rows) if any(row)]
-    stated = {axis: _unit_of_head(table.heads[axis]) for axis in "XYZ"}
     if filled and _is_units(rows[filled[0]]):
-        under = dict(zip("XYZ", rows[filled.pop(0)][1:], strict=True))
-        stated = {axis: stated[axis] or _UNITS.get(folded(under[axis]).replace(" ", "")) for axis in "XYZ"}
+        # As heads have them that state their units themselves.
+        first, heads_too = filled.pop(0), dict(table.heads)
+        for key, head in table.heads.items():
+            unit = table.texts(key)[first].strip("()[]")
+            heads_too[key] = f"{head} ({unit})" if _UNITS.get(folded(unit)) else head
+        table = replace(table, heads=heads_too)
+    stated = {axis: unit_of_head(table.heads[axis]) for axis in "XYZ"}
     parsed = [
         _values(
             [rows[k][1 + n] for k in filled], table.separator, table.heads[axis] if degrees and n < 2 else ""
@@ -111,7 +116,7 @@ def read_places(
         refused=tuple(refused),
         unit_m=plane,
         height=kind,
-        height_head=only.heads["Z"].strip(),
+        height_head=height.strip(),
         level=level,
     )
     return only, places, control
@@ -186,7 +191,7 @@ def _stated_system(path: Path, rows: int) -> str:
     return text
 
 
-def _unit_of_head(head: str) -> float | None:
+def unit_of_head(head: str) -> float | None:
     """Metres of the unit that a head states in brackets or as its last words."""
     inside = re.search(r"[(\[]([^)\]]*)[)\]]", head)
     texts = [inside[1]] if inside else []

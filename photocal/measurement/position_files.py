@@ -143,7 +143,7 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
             degrees = _has(path, _DEGREES)
             table = read_under(path, heads | (_DEGREES if degrees else {}), ("image", *"XYZ"))
         except PhotocalError:
-            crs, images = read_geo(path)
+            crs, images = _latitudes_first(path, names) or read_geo(path)
             # Of the plane and of the height.
             listed = {name: (*row[:3], row[6], *row[6:]) for name, row in images.items()}
         else:
@@ -160,6 +160,29 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
     return given
 
 
+def _latitudes_first(path: Path, names: Sequence[str]) -> tuple[str, dict[str, list[float]]] | None:
+    """Rows without a head as Pix4D has them: picture, latitude, longitude, height and accuracies.
+
+    returns: as `read_geo`; None for other rows, such as marks of points that are numbers.
+    """
+    # The width of a flight, degrees.
+    wide = 1.0
+    called, rows = {_called(name) for name in names}, dict[str, list[float]]()
+    for line in read_text(path).splitlines():
+        image, *cells = (cell.strip() for cell in re.split(r"[,;\t]", line))
+        try:
+            values = [float(cell) for cell in cells if cell]
+        except ValueError:
+            return None
+        if len(values) < 3 or image in rows or not (abs(values[0]) <= 90 and abs(values[1]) <= 180):
+            return None
+        # More are angles.
+        accuracies = values[3:5] if len(values) > 4 else [np.nan, np.nan]
+        rows[image] = [values[1], values[0], values[2], np.nan, np.nan, np.nan, *accuracies]
+    known = any(_called(image) in called for image in rows)
+    return ("EPSG:4326", rows) if known and (np.ptp(list(rows.values()), axis=0)[:2] < wide).all() else None
+
+
 def _require_credible(listed: ListedPositions, path: Path) -> None:
     """Refuse a list that cannot be right, with what is wrong in which lines."""
     # One place may have several pictures.
@@ -174,14 +197,15 @@ def _require_credible(listed: ListedPositions, path: Path) -> None:
 
 def _given(places: dict[str, _Place], path: Path, names: Sequence[str]) -> Given:
     """What puts the places of a table in place of the pictures' own."""
-    if not any(_of(name, places) for name in names):
+    alike = {_called(name): place for name, place in places.items()}
+    if not any(_of(name, places, alike) for name in names):
         first = next(iter(places), "nothing")
         raise InputMalformedError(
             f"has none of the {len(names)} pictures (it has {first}, the first is {min(names, default='')})",
             "name the pictures as their files",
             where=path,
         )
-    return lambda facts: _placed(facts, _of(facts.name, places))
+    return lambda facts: _placed(facts, _of(facts.name, places, alike))
 
 
 def in_degrees(path: Path, besides: Collection[str] = ()) -> bool:
@@ -198,8 +222,19 @@ def _has(path: Path, heads: Mapping[str, Sequence[str]]) -> bool:
     return all(map(table.has, heads))
 
 
-def _of(name: str, places: Mapping[str, _Place]) -> _Place | None:
-    return places.get(name) or places.get(Path(name).stem)
+def _of(name: str, places: Mapping[str, _Place], alike: Mapping[str, _Place]) -> _Place | None:
+    called = _called(name)
+    return (
+        places.get(name)
+        or places.get(Path(name).stem)
+        or alike.get(called)
+        or alike.get(called.rpartition(".")[0])
+    )
+
+
+def _called(name: str) -> str:
+    """The name of a picture in small letters, without its folders."""
+    return re.split(r"[\\/]", name)[-1].casefold()
 
 
 def _placed(facts: ImageFacts, place: _Place | None) -> ImageFacts:

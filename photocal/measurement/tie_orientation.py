@@ -20,7 +20,7 @@ from photocal.base.arrays import Flags, Floats, as_plain
 from photocal.base.errors import IllPosedError
 from photocal.block.model import Block, Images
 from photocal.block.network import block_frame, observed_plane
-from photocal.findings.finding import Finding
+from photocal.findings.finding import Finding, Severity
 from photocal.geometry.camera import Camera
 from photocal.geometry.localisation import Similarity, aligned_similarity, misses_of, robust_similarity
 from photocal.geometry.oriented_images import given_poses, local_poses
@@ -46,6 +46,8 @@ WRONG_POSITION, WORSE_POSITIONS = 6.0, 2.0
 OF_POSITIONS = ("position-off", "positions-worse", "heights-apart")
 # Heights of receivers and of control that differ by more count from different surfaces, m.
 HEIGHTS_APART_M = 3 * POSITION_SIGMA_M[2]
+# No geoid lies farther from the ellipsoid.
+LARGEST_UNDULATION_M = 110.0
 # Cosine of the angle to within which recorded directions and pictures agree; of so many of them, or the
 # record is none of the pictures. A picture whose upper edge points to the sky has no direction.
 SAME_WAY, MOST, UPRIGHT = 0.87, 0.9, 0.3
@@ -277,7 +279,7 @@ def position_sigmas(images: Images, values: Floats, *, shifted: bool) -> tuple[F
     shifted: whether something better places the block, so that what all positions have in common is no
         scatter.
     returns sigma (images, 6): as stated where the rays bear it out; larger where all are worse; infinite
-        where one is wrong.
+        where one is wrong, and of heights that count from another surface than what places the block.
     returns shift (3,): what all positions are off by, m.
     """
     sigma, shift = images.sigma.copy(), np.zeros(3)
@@ -299,12 +301,17 @@ def position_sigmas(images: Images, values: Floats, *, shifted: bool) -> tuple[F
         for j, k in enumerate(np.flatnonzero(observed))
         if wrong[j]
     ]
-    if abs(shift[2]) > HEIGHTS_APART_M:
-        findings.append(Finding("heights-apart", "note", figures={"up_m": float(shift[2])}))
+    apart = abs(shift[2]) > HEIGHTS_APART_M
+    if apart:
+        beyond: Severity = "doubtful" if abs(shift[2]) > LARGEST_UNDULATION_M else "note"
+        findings.append(Finding("heights-apart", beyond, figures={"up_m": float(shift[2])}))
     if factor > WORSE_POSITIONS:
         findings.append(Finding("positions-worse", "doubtful", figures={"factor": factor}))
         sigma[:, 3:] *= factor
     sigma[np.flatnonzero(observed)[wrong], 3:] = np.inf
+    # Sigmas that cover any surface are of one common error, which positions of so many images would reduce.
+    if apart and np.median(stated[observed, 2]) > HEIGHTS_APART_M:
+        sigma[observed, 5] = np.inf
     return sigma, shift, findings
 
 

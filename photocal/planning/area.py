@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from photocal.base.archives import DAMAGES, unzipped
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import InputMalformedError, reading
 from photocal.base.text_tables import read_wider_table
@@ -149,7 +150,7 @@ def read_area(path: str | Path) -> Area:
     Parameters
     ----------
     path
-        `.geojson` or `.json` (RFC 7946), `.kml`, or `.csv` with the columns lat_deg and lon_deg.
+        `.geojson` or `.json` (RFC 7946), `.kml`, `.kmz`, or `.csv` with the columns lat_deg and lon_deg.
 
     Returns
     -------
@@ -174,7 +175,7 @@ def read_area(path: str | Path) -> Area:
         table = read_wider_table(path, ("lat_deg", "lon_deg"))
         longitude, latitude = (table.numbers(name).tolist() for name in ("lon_deg", "lat_deg"))
         return area_from_corners(list(zip(longitude, latitude, strict=True)), str(path))
-    readers = {".geojson": _from_geojson, ".json": _from_geojson, ".kml": _from_kml}
+    readers = {".geojson": _from_geojson, ".json": _from_geojson, ".kml": _from_kml, ".kmz": _from_kml}
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise InputMalformedError(
@@ -182,10 +183,22 @@ def read_area(path: str | Path) -> Area:
         )
     try:
         with reading(path):
-            text = path.read_text(encoding="utf-8-sig")
+            octets = path.read_bytes()
+        text = (_packed_kml(octets, path) if path.suffix.lower() == ".kmz" else octets).decode("utf-8-sig")
     except UnicodeDecodeError as refusal:
         raise InputMalformedError("is not UTF-8 text", where=path) from refusal
     return area_from_corners(reader(text, str(path)), str(path))
+
+
+def _packed_kml(octets: bytes, path: Path) -> bytes:
+    """The text of a KMZ, as Google Earth saves places: the first KML in the zip."""
+    # More is no polygon.
+    most_bytes = 1 << 26
+    try:
+        files = unzipped(octets, most_bytes)
+    except DAMAGES as refusal:
+        raise InputMalformedError(f"is not KMZ ({refusal})", where=path) from refusal
+    return next((text for name, text in files.items() if name.lower().endswith(".kml")), b"")
 
 
 def _from_geojson(text: str, where: str) -> list[tuple[float, float]]:
@@ -211,6 +224,8 @@ def _polygons(content: Any, where: str) -> list[Any]:
     kind = content.get("type")
     if kind == "FeatureCollection" and isinstance(content.get("features"), list):
         return [ring for feature in content["features"] for ring in _polygons(feature, where)]
+    if kind == "GeometryCollection" and isinstance(content.get("geometries"), list):
+        return [ring for geometry in content["geometries"] for ring in _polygons(geometry, where)]
     if kind == "Feature":
         return _polygons(content["geometry"], where) if content.get("geometry") else []
     if kind == "Polygon":

@@ -277,7 +277,7 @@ def plan(
     Parameters
     ----------
     area
-        Polygon: a file (GeoJSON, KML, or CSV with lat_deg and lon_deg), or an `Area`.
+        Polygon: a file (GeoJSON, KML, KMZ, or CSV with lat_deg and lon_deg), or an `Area`.
     request
         Camera, height (m), overlaps (shares), speed (m/s) and strips.
     limits

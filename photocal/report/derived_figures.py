@@ -319,8 +319,7 @@ def network_shape(run: AnalysedRun, camera_id: str) -> tuple[float, float] | Non
     The spread is the 95th less the 5th percentile over the median.
     """
     result, rays = run.result, run.result.residuals_of(camera_id)
-    place = {name: j for j, name in enumerate(result.points.names)}
-    point = np.array([place.get(name, -1) for name in rays.point_names], dtype=np.int64)[rays.point]
+    point = result.observed[rays.point]
     image, point = rays.image[point >= 0], point[point >= 0]
     if not len(image):
         return None

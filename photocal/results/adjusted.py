@@ -144,7 +144,7 @@ def result_of(
             movements(assembly, solution, values),
         ),
         points=points,
-        residuals=_residuals(block, assembly, solution),
+        residuals=residuals_of(block, assembly, solution),
     )
 
 
@@ -418,7 +418,8 @@ def given_exposures(assembly: NetworkOfBlock, solution: Solution) -> tuple[Float
     return values, np.asarray(covariance)
 
 
-def _residuals(block: Block, assembly: NetworkOfBlock, solution: Solution) -> Residuals:
+def residuals_of(block: Block, assembly: NetworkOfBlock, solution: Solution) -> Residuals:
+    """Residuals of all observations of a block; NaN for those that took no part."""
     seen = block.observations
     sign = np.array([1.0, -1.0 if seen.axes == "pixel" else 1.0])
     v, r, w = np.full((3, len(seen.image), 2), np.nan)

@@ -519,6 +519,12 @@ class Result(Figures):
         """Which images a camera took."""
         return np.flatnonzero(self.images.camera == list(self.cameras).index(camera))
 
+    @cached_property
+    def observed(self) -> Integers:
+        """Which adjusted point each observed one is; -1 for those that were not adjusted."""
+        place = {name: j for j, name in enumerate(self.points.names)}
+        return np.array([place.get(name, -1) for name in self.residuals.point_names], dtype=np.int64)
+
     def residuals_of(self, camera: str) -> Residuals:
         """Accepted observations in the images of a camera."""
         part = self.residuals.accepted

@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import f
+from scipy import special
 
+from photocal.adjustment.adjusted import AdjustedNetwork
+from photocal.adjustment.envelope import on_one_thread
 from photocal.adjustment.groups import member_tests
 from photocal.adjustment.mounting import Positions
 from photocal.adjustment.network import covariance_matrices
@@ -25,6 +27,7 @@ from photocal.base.errors import IllPosedError, NotConvergedError, PhotocalError
 from photocal.base.files import write_json
 from photocal.base.policy import policy
 from photocal.base.progress import Progress
+from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block
 from photocal.block.mounting import make_mounting
 from photocal.block.network import assemble
@@ -37,13 +40,10 @@ from photocal.measurement.measurement_record import SCHEMA as MEASURED
 from photocal.measurement.measurement_record import MeasuredBlock
 from photocal.results.adjusted import (
     adjust_block,
-    adjust_network,
     adjusted,
-    network_of,
-    result_of,
-    state_of,
+    residuals_of,
 )
-from photocal.results.result import Result
+from photocal.results.result import Residuals, Result
 from photocal.run.adopt_rays import (
     by_rays_alone,
     crossed,
@@ -184,6 +184,7 @@ SCHEMA = "photocal.adoption/1"
 FIGURES = "adoption.json"
 
 
+@on_one_thread
 def adopt(
     path: Path, output: Path, day: dt.date, progress: Progress, gcp: Path | None = None
 ) -> dict[str, Any]:
@@ -209,9 +210,9 @@ def adopt(
     except (IllPosedError, NotConvergedError) as refusal:
         foreign, block, result = _adjusted(_held(foreign, refusal), output, step)
     with step("analysis"):
-        hidden = analyse_run(run, source).findings
+        outcome = analyse_run(run, source, read=lambda _: block)
     with step("sigmas of control and positions"):
-        sigmas = sigma_figures(foreign, result, _as_residuals_agree(block, result))
+        sigmas = sigma_figures(foreign, result, _as_residuals_agree(outcome.search.first))
     control = control_figures(foreign, result)
     figures = {
         "schema": SCHEMA,
@@ -229,8 +230,8 @@ def adopt(
         "control": control,
         "report": report_figures(report, foreign, result, control),
         "exterior": exterior_figures(foreign, result),
-        "findings": [finding_json(finding, catalogue("en")) for finding in hidden],
-        "hidden": [finding_text(finding, catalogue("en"), plain) for finding in hidden],
+        "findings": [finding_json(finding, catalogue("en")) for finding in outcome.findings],
+        "hidden": [finding_text(finding, catalogue("en"), plain) for finding in outcome.findings],
     }
     write_json(output / FIGURES, figures)
     with step("certificate"):
@@ -282,7 +283,8 @@ def _adjusted(foreign: ForeignProject, output: Path, step: Step) -> tuple[Foreig
         block = _with_positions(foreign)
         MeasuredBlock(block, {"schema": MEASURED, "kind": f"project of {foreign.program}"}).write(source)
     with step("adjustment"):
-        return foreign, block, adjust_block(source, output / "calibration")
+        block = read_block(source)
+        return foreign, block, adjust_block(source, output / "calibration", read=lambda _: block)
 
 
 def _weighted(foreign: ForeignProject) -> ForeignProject:
@@ -296,9 +298,9 @@ def _weighted(foreign: ForeignProject) -> ForeignProject:
     for _ in range(weightings):
         try:
             # Control that is exchanged says nothing of the marks.
-            residuals = adjust_network(by_rays_alone(block)).residuals
+            residuals = _residuals(by_rays_alone(block))
         except (IllPosedError, NotConvergedError):
-            residuals = _solved(replace(foreign, block=block)).residuals
+            residuals = _residuals(_with_positions(replace(foreign, block=block)))
         kinds = tie if len(residuals) == len(tie) else tie[crossed(block)]
         free = [float(np.nansum(residuals.redundancy[rays])) for rays in (kinds, ~kinds)]
         squares = [float(np.nansum(residuals.residual[rays] ** 2)) for rays in (kinds, ~kinds)]
@@ -306,7 +308,7 @@ def _weighted(foreign: ForeignProject) -> ForeignProject:
         # Marks get a sigma of their own where theirs is another for certain.
         if min(free) > fewest_free:
             ratio = squares[1] / free[1] / (squares[0] / free[0])
-            if not least < float(f.cdf(ratio, free[1], free[0])) < 1 - least:
+            if not least < float(special.fdtr(free[1], free[0], ratio)) < 1 - least:
                 for rays, square, count in zip((tie, ~tie), squares, free, strict=True):
                     sigma[rays] = np.sqrt(square / count)
         block = replace(block, observations=replace(block.observations, sigma=sigma))
@@ -317,16 +319,13 @@ def _weighted(foreign: ForeignProject) -> ForeignProject:
     return replace(foreign, block=replace(block, global_test=(block.global_test[0], "none")))
 
 
-def _as_residuals_agree(block: Block, result: Result) -> dict[str, Floats]:
+def _as_residuals_agree(first: AdjustedNetwork) -> dict[str, Floats]:
     """Variances of control points and of positions along the axes, m^2, (3,), that the residuals show."""
-    assembly = network_of(block, result)
     try:
         # Sigmas are found to one per cent.
         settled = 0.02
         # Frames may be as stiff as they are stated to be, or stiffer.
-        estimated = estimate_components(
-            assembly.network, hold=("rig",), start=state_of(assembly, result), settled=settled
-        )
+        estimated = estimate_components(first.network, hold=("rig",), start=first, settled=settled)
         members = member_tests(estimated.fitted.factored, estimated.solution)
     except (IllPosedError, NotConvergedError):
         return {}
@@ -348,6 +347,5 @@ def _as_residuals_agree(block: Block, result: Result) -> dict[str, Floats]:
     return {kind: np.nanmean(rows, axis=0) for kind, rows in variances.items() if np.isfinite(rows).any()}
 
 
-def _solved(foreign: ForeignProject) -> Result:
-    block = _with_positions(foreign)
-    return result_of(block, *adjusted(assemble(block)))
+def _residuals(block: Block) -> Residuals:
+    return residuals_of(block, *adjusted(assemble(block)))

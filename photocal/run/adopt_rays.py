@@ -73,8 +73,9 @@ def without_gross_rays(foreign: ForeignProject, output: Path) -> ForeignProject:
     # deviates the median is known, and what one in all exceeds.
     taken = (3 * len(network.point_names) + 6 * len(network.image_names)) / (2 * len(fit))
     limit = np.sqrt(np.log(2 * len(fit)) / np.log(2) / max(1 - taken, policy.least_checked))
-    for kind in (tie[seen.point[rays]], ~tie[seen.point[rays]]):
-        gross[rays[kind]] = fit[kind] > limit * np.median(fit[kind])
+    for kind in np.unique(tie[seen.point[rays]]):
+        of_kind = tie[seen.point[rays]] == kind
+        gross[rays[of_kind]] = fit[of_kind] > limit * np.median(fit[of_kind])
     if not gross.any():
         return foreign
     names, points = block.images.names, block.points.names

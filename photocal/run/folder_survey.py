@@ -31,7 +31,7 @@ from photocal.measurement.marks import (
     read_control_marks,
     read_typed_list,
 )
-from photocal.measurement.place_tables import read_places
+from photocal.measurement.place_tables import read_places, unit_of_head
 from photocal.measurement.position_files import PLACE_HEADS, UnbelievableListError, in_degrees, read_positions
 
 # Sigma of control points whose file has none, horizontal and vertical, m: a network RTK of short occupation.
@@ -107,7 +107,7 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
     seen = FolderContents(folder)
     # Folders that are looked into, one in another.
     depth = 3
-    files = sorted(path for path in _files(folder, depth) if path not in leave_out)
+    files = sorted(path for path in _files(folder, depth, set()) if path not in leave_out)
     seen.pictures = _pictures(files, seen.unread)
     sizes = _sizes(seen.pictures)
     results = _results(files, seen, say)
@@ -124,7 +124,9 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
         elif kind == ".mrk":
             seen.events.append(path)
         elif kind in _TABLES and (placed := _placed(path, seen.pictures, seen.unread)) is not None:
-            seen.positions.append(path)
+            # What cannot be right is named, and gives no picture a place.
+            if placed is not seen.pictures:
+                seen.positions.append(path)
             seen.pictures = placed
         elif kind in (*_TABLES, ".xml", ".json", ".psz"):
             control = _control(path, sizes, seen.unread, say)
@@ -181,7 +183,8 @@ def _pictures(files: Sequence[Path], unread: list[str]) -> dict[Path, tuple[Imag
         if path.suffix.lower() in SUFFIXES:
             try:
                 require_names([path])
-                pictures.setdefault(path.parent, []).append(read_facts(path))
+                facts = read_facts(path)
+                pictures.setdefault(path.parent, []).append(facts)
             except PhotocalError as refusal:
                 unread.append(str(refusal))
     return {where: tuple(facts) for where, facts in pictures.items()}
@@ -202,15 +205,19 @@ def _placed(
     return {where: tuple(map(given, facts)) for where, facts in pictures.items()}
 
 
-def _files(folder: Path, depth: int) -> Iterator[Path]:
-    """Files of a folder and those below it; neither hidden ones nor what a run has made."""
-    for path in folder.iterdir():
+def _files(folder: Path, depth: int, been: set[Path]) -> Iterator[Path]:
+    """Files of a folder and those below it; neither hidden ones nor what a run has made.
+
+    been: folders that links need not lead to again.
+    """
+    been.add(folder.resolve())
+    for path in sorted(folder.iterdir(), key=Path.is_symlink):
         if path.name.startswith("."):
             continue
         if path.is_file():
             yield path
-        elif depth and path.is_dir() and not (path / ".digests.json").exists():
-            yield from _files(path, depth - 1)
+        elif depth and path.is_dir() and path.resolve() not in been and not (path / ".digests.json").exists():
+            yield from _files(path, depth - 1, been)
 
 
 def _control(path: Path, sizes: Sizes, unread: list[str], say: Catalogue) -> ControlMarks | None:
@@ -349,7 +356,7 @@ def _of_table(
     names, stated = table.names("point")[1], table.has("sX")
     sigma = np.column_stack(
         [
-            table.numbers(name, empty=assumed)[rows]
+            _sigma(table, name, given.unit_m, assumed)[rows]
             for name, assumed in zip(("sX", "sY", "sZ"), (ASSUMED_M[0], *ASSUMED_M), strict=True)
         ]
     )
@@ -370,6 +377,21 @@ def _of_table(
     role = np.array([ROLES.index(name) for name in roles], dtype=np.int64)
     points = ObjectPoints(names, places, sigma, role)
     return replace(given, points=points, assumed=frozenset(() if stated else names))
+
+
+def _sigma(table: TextTable, name: str, unit_m: float, assumed: float) -> Floats:
+    """Sigmas of a coordinate, in the unit of the coordinates unless their head states another."""
+    cells = table.numbers(name, empty=np.nan)
+    stated = unit_of_head(table.heads[name]) if table.has(name) else None
+    return np.where(np.isnan(cells), assumed, cells * (stated or unit_m) / unit_m)
+
+
+def named_checks(given: ControlMarks) -> ControlMarks:
+    """Points of a table that says nothing of their roles, as check points."""
+    points = given.points
+    stated = np.array([[name not in given.assumed] for name in points.names])
+    role = np.full(len(points.names), ROLES.index("check"))
+    return replace(given, points=replace(points, sigma=np.where(stated, points.sigma, np.inf), role=role))
 
 
 def _roles(words: Sequence[str]) -> tuple[list[Role], frozenset[str]]:

@@ -12,6 +12,7 @@ import numpy as np
 from photocal.base.errors import InputNotFoundError, OutputError, PhotocalError
 from photocal.base.files import rows_text, write_file
 from photocal.base.policy import policy
+from photocal.base.text_tables import folded
 from photocal.block.model import ROLES, ObjectPoints
 from photocal.block.network import OTHER_SURFACE_M
 from photocal.findings.digits import Number
@@ -30,7 +31,7 @@ from photocal.navigation.image_metadata import stated_places
 from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
 from photocal.run.camera_card import ChosenPictures, chosen_pictures
-from photocal.run.folder_survey import ASSUMED_M, FolderContents, survey
+from photocal.run.folder_survey import ASSUMED_M, CHECKS, FolderContents, named_checks, survey
 from photocal.run.new_control import NewProject, settle
 from photocal.run.renewed_project import answered_height, renewed, written_before
 
@@ -39,6 +40,8 @@ PICTURES = "pictures.csv"
 CODE_LEVEL_M = (1.5, 1.5, 3.0)
 # A camera of another c is another camera: this share of it, or so many sigmas of what the pictures say.
 UNLIKE, FAR_SIGMAS = 0.1, 3.0
+# Control so far from other control is in another system, m.
+ELSEWHERE_M = 1000.0
 _ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2")
 
 
@@ -135,9 +138,13 @@ def _chosen(seen: FolderContents, chosen: ChosenPictures) -> ControlMarks | None
         """Count the marks in pictures that are there."""
         return sum(mark.image in names for mark in named_after(control.marks, names, others))
 
-    best = max(seen.control, key=lambda control: (shown(control), control.points.of_role("check").sum()))
+    best = max(
+        seen.control,
+        key=lambda control: (shown(control), _marked(control, seen), control.points.of_role("check").sum()),
+    )
     if shown(best):
         return best
+    best = _joined(best, seen)
     tables = sorted(seen.marks, key=shown, reverse=True)
     points = best.points.names
     # Programs leave the same marks in several files.
@@ -146,6 +153,48 @@ def _chosen(seen: FolderContents, chosen: ChosenPictures) -> ControlMarks | None
     bare = tuple(dict.fromkeys(mark.point for mark in every.values() if mark.point not in points))
     known = tuple(mark for mark in every.values() if mark.point in points)
     return replace(best, marks=known, without_coordinates=(*best.without_coordinates, *bare))
+
+
+def _marked(control: ControlMarks, seen: FolderContents) -> int:
+    """Count the points of a table that tables of marks name."""
+    points = control.points.names
+    named = (pointed_after(table.marks, points) for table in seen.marks)
+    return len({mark.point for marks in named for mark in marks}.intersection(points))
+
+
+def _joined(best: ControlMarks, seen: FolderContents) -> ControlMarks:
+    """A table of points with those of others that list more points with marks in the same way.
+
+    People keep check points in a file of their own, and call it so.
+    """
+    checks = {table.file for table in seen.control if any(word in folded(table.file.stem) for word in CHECKS)}
+    middle, tables, listed = np.nanmedian(best.points.values, axis=0), [best], set(best.points.names)
+
+    def way(table: ControlMarks) -> tuple[object, ...]:
+        """System, unit and kind of heights, as far as a table states them."""
+        return table.crs, table.unit_m, table.height, table.level, table.unordered, bool(table.marks)
+
+    for other in seen.control:
+        used = other.file in checks or _marked(other, seen) > 0
+        near = np.abs(np.nanmedian(other.points.values, axis=0) - middle).max() < ELSEWHERE_M
+        if used and near and way(other) == way(best) and listed.isdisjoint(other.points.names):
+            tables.append(other)
+            listed.update(other.points.names)
+    if len(tables) == 1:
+        return best
+    tables = [named_checks(table) if table.file in checks else table for table in tables]
+    first, *others = sorted(tables, key=lambda table: (table.file in checks, -len(table.points.names)))
+    for other in others:
+        first = replace(
+            first,
+            points=first.points.plus(other.points),
+            without_coordinates=(*first.without_coordinates, *other.without_coordinates),
+            refused=(*first.refused, *other.refused),
+            doubtful=(*first.doubtful, *other.doubtful),
+            assumed=first.assumed | other.assumed,
+            beside=(*first.beside, other.file),
+        )
+    return first
 
 
 class _Text:
@@ -449,13 +498,15 @@ class _Text:
         for other in self.seen.control:
             listed = dict(zip(other.points.names, other.points.values, strict=True))
             away = {name: np.abs(place - own[name]).max() for name, place in listed.items() if name in own}
-            # Millimetres are of rounding; what is so far away is in another system.
-            same_m, elsewhere_m = 0.002, 1000.0
+            # Millimetres are of rounding.
+            same_m = 0.002
             unlike = [name for name in listed if not away.get(name, np.inf) < same_m]
             named = {"file": self._beside(other.file), "used": self._beside(given.file)}
-            if other.file == given.file or not unlike:
+            if other.file in given.beside:
+                self.known.append(self.say("new.control_joined", n=len(listed), **named))
+            if other.file in (given.file, *given.beside) or not unlike:
                 continue
-            if away and np.median(list(away.values())) < elsewhere_m:
+            if away and np.median(list(away.values())) < ELSEWHERE_M:
                 told = some_names(unlike, self.say)
                 self.control.doubtful.append(self.say("new.other_control", names=told, **named))
             else:

@@ -38,6 +38,8 @@ RAYS, RAYS_M = 0.15, 15.0
 FEWEST = 3
 # What serves without a geoid.
 FREED = 'position_sigma_m = "free" in [images], and control alone places the block'
+# Principal distances over the width of the picture: of lenses wider than 160 degrees and of telescopes.
+NARROWEST, LONGEST = 0.08, 100.0
 # Of so many control points some may be wrong.
 SOME_WRONG = 1 / 3
 _PICTURES = 10
@@ -50,6 +52,7 @@ def check_project(project: Project) -> None:
     given = project.contents.measurements
     if given is not None and given.block is not None:
         return
+    _check_cameras(project)
     place = _place(project)
     _check_system(project, place)
     control = control_points(project)
@@ -59,6 +62,31 @@ def check_project(project: Project) -> None:
     if project.crs != "local" and len(control.names):
         _check_frame(project, control, place)
     _check_inputs(project)
+
+
+def _check_cameras(project: Project) -> None:
+    """Complain of cameras whose c is in another unit, or that have taken none of the pictures."""
+    for own in project.cameras:
+        width, c = max(own.size_px), f"{own.value('c'):g} {own.unit}"
+        share = own.value("c") / own.pitch[0] / width
+        if not NARROWEST < share < LONGEST:
+            raise ConfigurationError(
+                f"c = {c} is {share:.2g} times the width of the picture, {width} px",
+                "write c in the unit of the camera: px, or mm beside pitch_mm",
+                where=f"{project.path}, camera {own.id}",
+            )
+    known = {own.size_px for own in project.cameras}
+    facts = facts_of_pictures(project)
+    if known and facts and not any(image.size_px in known for image in facts):
+        facts = facts_of_pictures(project, None)
+        if not any(image.size_px in known for image in facts):
+            name, size = facts[0].name, "{} x {}".format(*facts[0].size_px)
+            sizes = ", ".join("{} x {}".format(*own.size_px) for own in project.cameras)
+            raise ConfigurationError(
+                f"no picture has the size of a camera: {name} has {size} px, size_px is {sizes}",
+                "correct size_px, with c, x0 and y0 in px",
+                where=project.path,
+            )
 
 
 def _check_frame(project: Project, control: ObjectPoints, place: Place | None) -> None:

@@ -112,6 +112,19 @@ def test_the_rig_is_the_mounting_of_a_block(tmp_path: Path) -> None:
         (CAMERA, CAMERA + '[measurements]\nblock = "b"\n', "[flight] is given with a ready block"),
         ('name = "field 3"', 'nom = "x"', "unknown key project.nom"),
         ("[project]", "[project", "is not valid TOML"),
+        ('folder = "images"', r'folder = "C:\Users\me"', "write paths with /, not with \\"),
+        ('folder = "images"', "folder = images", "put text in straight quotes"),
+        ('folder = "images"', "folder = “images”", "put text in straight quotes"),
+        (
+            'folder = "images"',
+            'folder = "images"\nposition_sigma_m = "1.5"',
+            "images.position_sigma_m = '1.5': input should be a valid list",
+        ),
+        (
+            'folder = "images"',
+            'folder = "images"\nposition_sigma_m = [1,5, 1,5, 5]',
+            "list should have at most 3 items, not 5",
+        ),
     ],
 )
 def test_mistakes_are_named(old: str, new: str, said: str, tmp_path: Path) -> None:
@@ -119,6 +132,13 @@ def test_mistakes_are_named(old: str, new: str, said: str, tmp_path: Path) -> No
     with pytest.raises(ConfigurationError, match=re.escape(said)) as refusal:
         _read(tmp_path, WHOLE.replace(old, new, 1))
     assert "project.toml" in str(refusal.value)
+
+
+def test_what_editors_save_in_an_encoding_of_windows_is_called_so(tmp_path: Path) -> None:
+    file = tmp_path / "project.toml"
+    file.write_bytes(WHOLE.replace("field 3", "vôo 3").encode("cp1252"))
+    with pytest.raises(ConfigurationError, match="is not UTF-8; save it as UTF-8"):
+        read_project(file)
 
 
 def test_a_missing_section_is_named_when_it_is_needed(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import special
+from scipy.sparse import csr_array
 
 from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.envelope import solve
@@ -20,6 +21,7 @@ from photocal.analysis.systematic_errors.search import (
     by_navigation_fixes,
     camera_estimates,
 )
+from photocal.base.arrays import Floats, Integers
 from photocal.base.policy import policy
 from photocal.findings.finding import Figure, Finding, Severity, Size
 from photocal.geometry.camera import PARAMETERS, Camera
@@ -384,6 +386,9 @@ def of_heads(fitted: AdjustedNetwork) -> list[Finding]:
         return []
     layout = at.problem.layout
     equations = mounting_equations(network, layout, state)["rig"]
+    coefficients = csr_array(
+        (equations.coefficient, equations.column, equations.start), (len(equations.weight), layout.size)
+    )
     head, when = rig.head_of(network.exposures.camera), network.exposures.time
     # Exposures without a time stand in the order of their images.
     known = when is not None and np.isfinite(when).all()
@@ -395,29 +400,25 @@ def of_heads(fitted: AdjustedNetwork) -> list[Finding]:
         if len(pairs) < 2 * FEWEST_PAIRS:
             continue
         starts = np.unique(np.linspace(FEWEST_PAIRS, len(pairs) - FEWEST_PAIRS, PLACES).astype(np.int64))
-        for start in starts.tolist():
-            later = pairs[start:]
-            # Rows of their relations, by component: three turns, then three shifts.
-            rows = np.array([(n // 3) * 3 * len(rig.first) + 3 * later + n % 3 for n in range(6)])
-            slopes = 1.0 / give[later, ::-1].repeat(3, axis=1).T
-            design = np.zeros((layout.size, 6))
-            force = np.zeros(6)
-            for n in range(6):
-                for row, slope in zip(rows[n].tolist(), slopes[n].tolist(), strict=True):
-                    span = slice(equations.start[row], equations.start[row + 1])
-                    np.add.at(design[:, n], equations.column[span], slope * equations.coefficient[span])
-                force[n] = slopes[n] @ equations.residual[rows[n]]
-            inside = solve(layout.envelope, at.normal.matrix, design)
+        jumps = [_jump(pairs[start:], give, len(rig.first)) for start in starts.tolist()]
+        designs = [
+            np.column_stack([coefficients[own].T @ slope for own, slope in zip(*jump, strict=True)])
+            for jump in jumps
+        ]
+        # All places at once: each solution goes through the whole factor.
+        inside = np.hsplit(solve(layout.envelope, at.normal.matrix, np.hstack(designs)), len(starts))
+        for start, (rows, slopes), design, follows in zip(starts, jumps, designs, inside, strict=True):
+            force = np.sum(slopes * equations.residual[rows], axis=1)
             square = np.sum(slopes**2, axis=1)
-            unit = np.sqrt(square / len(later))
-            normal = np.diag(square) - design.T @ inside
+            unit = np.sqrt(square / slopes.shape[1])
+            normal = np.diag(square) - design.T @ follows
             # The jump in units in which the stiffness is 1: what nothing resists has no share.
             scaled = normal / np.outer(unit, unit)
             value, vector = np.linalg.eigh((scaled + scaled.T) / 2)
-            good = value > 1e-9 * len(later)
+            good = value > 1e-9 * slopes.shape[1]
             inverse = (vector[:, good] / value[good]) @ vector[:, good].T / np.outer(unit, unit)
             move = inverse @ force
-            tried.append((float(force @ move), int(good.sum()), k, int(later[0]), move, inverse))
+            tried.append((float(force @ move), int(good.sum()), k, int(pairs[start]), move, inverse))
     if not tried:
         return []
     # One that moves pulls at the others: the one that moved most is named.
@@ -436,6 +437,12 @@ def of_heads(fitted: AdjustedNetwork) -> list[Finding]:
     }
     size = Size(turn, "deg", float(np.degrees(np.sqrt(np.trace(inverse[:3, :3])))))
     return [Finding("head-moved", "grave", camera, figures, size=size)]
+
+
+def _jump(later: Integers, give: Floats, count: int) -> tuple[Integers, Floats]:
+    """Rows of the relations of some of so many pairs, (6, n): turns, then shifts; and roots of weights."""
+    rows = np.array([(n // 3) * 3 * count + 3 * later + n % 3 for n in range(6)])
+    return rows, 1.0 / give[later, ::-1].repeat(3, axis=1).T
 
 
 def findings(search: Search, slips: Slips = no_slips) -> tuple[Finding, ...]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from photocal.adjustment.adjusted import fit
 from photocal.adjustment.network import Network, Relations
 from photocal.adjustment.variance_components import (
     VarianceComponents,
@@ -102,6 +103,16 @@ def test_relations_and_held_groups() -> None:
     assert sigma is not None
     assert found["distance"].factor == pytest.approx(3.0, abs=4 * sigma)
     assert sigma == pytest.approx(3.0 / np.sqrt(2 * found["distance"].redundancy), rel=0.4)
+
+
+def test_begins_with_an_adjustment_that_is_at_hand() -> None:
+    """The network as it is given is adjusted by whoever asks, and not again."""
+    network, reported = wrongly_weighted(scene(), 5), list[float]()
+    first = fit(network)
+    made = estimate_components(network, report=lambda step: reported.append(step.chi_squared), start=first)
+    assert 0.0 < max(reported) < 0.9 * first.solution.chi_squared
+    for ours, alone in zip(made.components, estimate_components(network).components, strict=True):
+        assert ours.factor == pytest.approx(alone.factor, rel=1e-6)
 
 
 def test_nothing_to_see() -> None:

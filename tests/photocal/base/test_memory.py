@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import subprocess
 import sys
 from pathlib import Path
@@ -25,6 +26,26 @@ if __name__ == "__main__":
     keys, reasons = detect_all([Path(path) for path in sys.argv[2:]], plan, lambda _: None)
     print(plan.processes, len(keys), set(reasons))
 """
+
+# Pages that the system has to give for an array where one as large was before.
+KEPT = """
+import resource
+import numpy as np
+from photocal.base.operating_system import keep_memory
+
+keep_memory()
+np.ones(1 << 25)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+np.ones(1 << 25)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library")
+def test_memory_of_an_array_serves_the_next_one() -> None:
+    made = subprocess.run([sys.executable, "-c", KEPT], check=True, capture_output=True, text=True)
+    # It has 256 MiB: 128 large pages, or 65536 small ones.
+    assert int(made.stdout) < 32
 
 
 def test_as_many_processes_as_the_memory_bears(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ import pytest
 
 from photocal.base.errors import IllPosedError, InputMalformedError
 from photocal.block.folder import read_block
+from photocal.block.model import Block
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.results.adjusted import adjust_network
@@ -121,3 +122,20 @@ def test_tie_points_that_start_behind_their_cameras_are_placed_again_or_counted(
     assert {ray.point for ray in left.rejected} == {block.points.names[point]}
     assert len(left.rejected) == len(mine)
     assert left.chi_squared < expected.chi_squared
+
+
+def test_heights_of_positions_may_put_the_cameras_below_the_ground() -> None:
+    """Of another surface and known as badly as that, they change what they weigh: next to nothing."""
+    block = read_block(DEMO)
+    images = block.images
+
+    def positions(below_m: float, sigma_m: float) -> Block:
+        sigma = np.hstack([np.full((len(images.names), 3), np.inf), np.tile([1.5, 1.5, sigma_m], (11, 1))])
+        values = images.values - [0.0, 0.0, 0.0, 0.0, 0.0, below_m]
+        return replace(block, images=replace(images, values=values, sigma=sigma))
+
+    expected, found = adjust_network(positions(0.0, np.inf)), adjust_network(positions(3000.0, 1e5))
+    assert found.cameras["dcs460"].value("c") == pytest.approx(
+        expected.cameras["dcs460"].value("c"), abs=1e-5
+    )
+    assert found.images.values[:, 3:] == pytest.approx(expected.images.values[:, 3:], abs=1e-2)

@@ -51,3 +51,17 @@ def test_two_flights_with_the_same_numbers_are_no_frame() -> None:
     names = [f"{flight}_{k:04}.JPG" for flight in "AB" for k in range(6)]
     times = [f"2024-05-0{1 + 'AB'.index(n[0])}T10:00:0{n[-5]}" for n in names]
     assert seen(names, times) is None
+
+
+@pytest.mark.parametrize(("metres", "frame"), [(3.0, True), (60.0, False)])
+def test_folders_whose_pictures_were_taken_elsewhere_are_two_flights(metres: float, frame: bool) -> None:
+    """Without times, or with a clock that nobody has set."""
+    pictures = {
+        Path(f"{folder}/{folder}{k}.jpg"): ImageFacts(
+            f"{folder}{k}.jpg", (100, 80), latitude_deg=52.0 + (10 * k + metres * flight) / 111e3,
+            longitude_deg=21.0, altitude_m=100.0, taken="2015-01-01T00:00:00",
+        )
+        for flight, folder in enumerate(("flight1", "flight2"))
+        for k in range(5)
+    }  # fmt: skip
+    assert (recognised_heads(pictures) is not None) is frame

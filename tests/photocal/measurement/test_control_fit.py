@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from photocal.base.codec import same
 from photocal.block.model import Block, Images, ObjectPoints
-from photocal.geometry.camera import camera
+from photocal.geometry.camera import Camera, camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.oriented_ties import Oriented, first_orientation
 from photocal.measurement.tracks import Tracks
@@ -47,20 +47,31 @@ def oriented(
     positions: Floats | None = None,
     marks: Floats | None = None,
     some: slice = slice(None),
+    *,
     cache: Path | None = None,
+    beside: Camera | None = None,
+    survey: Floats = SURVEY,
+    frame: str = "local",
 ) -> Oriented:
-    """Orient eight pictures of hilly ground with control as somebody has typed it."""
+    """Orient eight pictures of hilly ground with control as somebody has typed it.
+
+    beside: camera of one more picture, which shows nothing of the ground.
+    survey: where the points are.
+    """
     rng = np.random.default_rng(5)
     ground = np.column_stack([rng.uniform(-40, 40, 160), rng.uniform(-28, 28, 160), rng.uniform(-4, 4, 160)])
     track, image, pixels = _rays(ground, 0.3, 1)
     tracks = Tracks(track, image, pixels, np.ones(len(track))).some(np.ones(len(track), dtype=np.bool_))
-    values, sigma = np.full((8, 6), np.nan), np.full((8, 6), np.inf)
+    cameras = (LENS,) if beside is None else (beside, LENS)
+    count = 8 + len(cameras) - 1
+    values, sigma = np.full((count, 6), np.nan), np.full((count, 6), np.inf)
     if positions is not None:
-        values[:, 3:], sigma[:, 3:] = positions, 1.5
-    images = Images(tuple(f"{k}.jpg" for k in range(8)), np.zeros(8, np.int64), values, sigma)
+        values[:8, 3:], sigma[:8, 3:] = positions, 1.5
+    taken_by = np.where(np.arange(count) < 8, len(cameras) - 1, 0)
+    images = Images(tuple(f"{k}.jpg" for k in range(count)), taken_by, values, sigma)
     points = ObjectPoints(NAMES, given, np.full((9, 3), 0.02), np.zeros(9, np.int64))
-    block = Block("b", "local", "", "control", (LENS,), images, points)
-    point, image, pixels = _rays(SURVEY, 0.5, 3)
+    block = Block("b", frame, "" if frame == "local" else "ellipsoidal", "control", cameras, images, points)
+    point, image, pixels = _rays(survey, 0.5, 3)
     pixels = pixels if marks is None else pixels + marks[: len(pixels)]
     kept = np.isin(point, np.arange(9)[some])
     seen = block.observations.plus(image[kept], point[kept], pixels[kept], np.ones((int(kept.sum()), 2)))
@@ -82,6 +93,16 @@ def test_right_control_places_the_block(positioned: bool) -> None:
     found = oriented(SURVEY, STATIONS + rng.normal(0, 1.0, STATIONS.shape) if positioned else None)
     assert not [one for one in found.findings if one.code.startswith(("control", "mark", "block"))]
     assert found.adjusted.start.datum == "control"
+    assert stations(found) < 0.2
+
+
+@pytest.mark.parametrize("positioned", [False, True])
+def test_a_picture_of_another_camera_costs_itself_alone(positioned: bool) -> None:
+    """A snapshot of the crew in the folder of the flight, by a camera that comes first."""
+    phone = camera("a", "brown-ideal", "px", (1200, 1600), (1.0, 1.0), {"c": 1200.0})
+    found = oriented(SURVEY, STATIONS if positioned else None, beside=phone)
+    assert [one["image"] for one in found.left_out] == ["8.jpg"]
+    assert [own.id for own in found.adjusted.block.cameras] == ["c"]
     assert stations(found) < 0.2
 
 
@@ -146,6 +167,19 @@ def test_control_that_contradicts_itself_leaves_the_block_free() -> None:
     assert any("contradict each other" in english(one) for one in found.findings)
     assert said(found, "block-not-placed") == [""]
     assert not found.marked.points.of_role("control").any()
+
+
+@pytest.mark.parametrize("relief", [0.0, 1.0])
+def test_control_with_exchanged_axes_is_named_and_places_nothing(relief: float) -> None:
+    """Of flat ground it would fit, too, seen by cameras below it that look up."""
+    survey = SURVEY * [1.0, 1.0, relief]
+    there = np.array([634600.0, 485300.0, 110.0])
+    found = oriented((survey + there)[:, [1, 0, 2]], survey=survey, frame="EPSG:2180")
+    assert any("E and N of all of them are exchanged" in english(one) for one in found.findings)
+    assert found.adjusted.start.datum == "free"
+    right = oriented(survey + there, survey=survey, frame="EPSG:2180")
+    assert right.adjusted.start.datum == "control"
+    assert not said(right, "control-not-used")
 
 
 def test_points_in_a_line_or_too_few_are_a_sentence() -> None:

@@ -109,6 +109,18 @@ def test_heights_of_another_surface_are_told_by_control() -> None:
     assert position_sigmas(images, values, shifted=True)[2] == []
 
 
+def test_heights_that_may_count_from_any_surface_say_nothing_once_control_is_far_from_them() -> None:
+    """Above take-off, at a site 200 m above the sea: each of 50 m, together they would contradict control."""
+    places = np.array([[x, y, 40.0] for x in (-9.0, -3, 3, 9) for y in (-6.0, 6)])
+    images = _block(places).images
+    sigma = np.hstack([images.sigma[:, :3], np.tile([1.5, 1.5, 50.0], (8, 1))])
+    values = np.hstack([np.zeros((8, 3)), places + np.array([0, 0, 200.0])])
+    found, _, (told,) = position_sigmas(replace(images, sigma=sigma), values, shifted=True)
+    assert np.isinf(found[:, 5]).all()
+    assert (found[:, 3:5] == 1.5).all()
+    assert (told.code, told.severity) == ("heights-apart", "doubtful")
+
+
 def test_positions_tens_of_metres_off_bend_nothing() -> None:
     """One is 300 m off: named and not used; all are 20 m off: their sigmas are enlarged."""
     rng = np.random.default_rng(8)

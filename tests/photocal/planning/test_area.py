@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import re
+import zipfile
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,7 @@ def texts() -> dict[str, str]:
         "a.geojson": json.dumps({"type": "FeatureCollection", "features": [feature]}),
         "b.geojson": json.dumps(feature),
         "c.json": json.dumps(POLYGON),
+        "e.geojson": json.dumps({"type": "GeometryCollection", "geometries": [POLYGON]}),
         "d.geojson": json.dumps({"type": "MultiPolygon", "coordinates": [[RING]]}),
         "e.kml": KML.format(" ".join(f"{lon},{lat},0" for lon, lat in RING)),
         "f.kml": KML[KML.index("<Polygon") : KML.index("</Placemark")].format(
@@ -57,6 +59,15 @@ def texts() -> dict[str, str]:
 def test_every_form_gives_the_same_area(tmp_path: Path, name: str) -> None:
     area = read_area(written(tmp_path, name, texts()[name]))
     assert list(zip(area.longitude_deg.tolist(), area.latitude_deg.tolist(), strict=True)) == FIELD
+
+
+def test_a_place_as_google_earth_saves_it(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "field.kmz", "w") as packed:
+        packed.writestr("files/camera.png", b"")
+        packed.writestr("doc.kml", texts()["e.kml"])
+    assert read_area(tmp_path / "field.kmz").longitude_deg.tolist() == [lon for lon, _ in FIELD]
+    with pytest.raises(InputMalformedError, match="is not KMZ"):
+        read_area(written(tmp_path, "b.kmz", texts()["e.kml"]))
 
 
 def test_area_of_the_published_target_field() -> None:

@@ -108,7 +108,8 @@ def test_equals_remapping_by_opencv(observed: bool, method: int, flag: int) -> N
         # Both round; where a place lies between two pixels within the digits of its map they may differ.
         assert (difference > 0).mean() < 2e-4
     else:
-        assert difference.max() <= 1
+        # OpenCV 4 interpolates in steps of a 32nd of a pixel.
+        assert difference.max() <= (1 if int(cv2.__version__.split(".")[0]) > 4 else 2)
     assert (pixels[:, ~inside] == 0).all()
 
 

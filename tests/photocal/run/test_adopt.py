@@ -6,7 +6,6 @@ import datetime as dt
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,7 @@ from photocal.results.folder import read_result
 from photocal.run import adopt as module
 from photocal.run.adoption_figures import adoption_text, rounded
 from tests.photocal.exchange.conftest import reconstruction_of, roles_of, shown, to_adjust, with_roles
+from tests.photocal.run.adopting import without_analysis
 
 ESTIMATED = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
 SURVEY_M = np.array([0.02, 0.02, 0.03])
@@ -80,9 +80,7 @@ def quiet(*_: Any) -> Any:
 
 def adopted(folder: Path, monkeypatch: pytest.MonkeyPatch, **changes: Any) -> dict[str, Any]:
     """Adopt without analysis and certificate, which have tests of their own."""
-    outcome = SimpleNamespace(findings=())
-    monkeypatch.setattr("photocal.analysis.analyse_run.analyse_run", lambda *_: outcome)
-    monkeypatch.setattr("photocal.report.issue.issue", lambda *_, **__: None)
+    without_analysis(monkeypatch)
     return module.adopt(folder, folder / "adopted", dt.date(2026, 1, 1), quiet, **changes)
 
 

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -32,6 +31,7 @@ from photocal.run import adopt as module
 from photocal.run.adoption_figures import adoption_text
 from tests.photocal.exchange.conftest import reconstruction_of, roles_of, shown, to_adjust, with_roles
 from tests.photocal.exchange.pix4d_folder import write_params, write_report
+from tests.photocal.run.adopting import without_analysis
 
 ESTIMATED = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
 SURVEY_M = np.array([0.02, 0.02, 0.03])
@@ -119,8 +119,7 @@ def project(folder: Path, own: Own) -> Path:
 
 def adopted(folder: Path, output: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Adopt without analysis and certificate, which have tests of their own."""
-    monkeypatch.setattr("photocal.analysis.analyse_run.analyse_run", lambda *_: SimpleNamespace(findings=()))
-    monkeypatch.setattr("photocal.report.issue.issue", lambda *_, **__: None)
+    without_analysis(monkeypatch)
     return module.adopt(folder, output, dt.date(2026, 1, 1), lambda *_: nullcontext(lambda _: None))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from photocal.exchange.foreign_project import ForeignProject
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.run.adopt_rays import LEAST_PARALLAX_PX, without_what_hangs_loose
+from photocal.run.adopt_rays import LEAST_PARALLAX_PX, without_gross_rays, without_what_hangs_loose
 from tests.photocal.exchange.conftest import reconstruction_of, to_adjust, vision_camera, with_roles
 
 APART_M = 0.05
@@ -93,3 +94,9 @@ def test_positions_of_images_that_stay_are_kept() -> None:
     order = [block.images.names.index(name) for name in left.block.images.names]
     np.testing.assert_array_equal(left.position, place[order])
     np.testing.assert_array_equal(left.position_sigma, place[order] + 1)
+
+
+def test_a_project_without_marks_of_control_is_judged_by_its_ties_alone(tmp_path: Path) -> None:
+    """A warning of numpy about them stood on the screen."""
+    given = without_gross_rays(ForeignProject("Own", own()), tmp_path)
+    assert given.block.points.names == own().points.names

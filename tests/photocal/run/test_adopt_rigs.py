@@ -6,7 +6,6 @@ import datetime as dt
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from photocal.results.result import Result
 from photocal.run import adopt as module
 from tests.photocal.exchange.conftest import to_adjust
 from tests.photocal.exchange.rig_projects import LAYOUTS, NOISE_PX, SURVEY_M, on_a_frame, project
+from tests.photocal.run.adopting import without_analysis
 
 ESTIMATED = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2")
 
@@ -54,8 +54,7 @@ def test_our_own_rig_comes_back(
 ) -> None:
     given, result = rig
     LAYOUTS[layout](tmp_path, given)
-    monkeypatch.setattr("photocal.analysis.analyse_run.analyse_run", lambda *_: SimpleNamespace(findings=()))
-    monkeypatch.setattr("photocal.report.issue.issue", lambda *_, **__: None)
+    without_analysis(monkeypatch)
     path = tmp_path / "cameras.xml" if layout == "metashape" else tmp_path
     figures = module.adopt(
         path, tmp_path / "out", dt.date(2026, 1, 1), lambda *_: nullcontext(lambda _: None)

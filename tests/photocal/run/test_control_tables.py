@@ -211,6 +211,24 @@ def test_a_table_as_people_make_it_is_read(folder: Path, photocal: Photocal, kin
 
 
 @pytest.mark.parametrize(
+    "head",
+    [
+        "Point,E,N,H,sE (mm),sN (mm),sH (mm)",
+        "Point,E [m],N [m],H [m],sE [mm],sN [mm],sH [mm]",
+        "Point,E,N,H,sE,sN,sH\n,m,m,m,mm,mm,mm",
+        "Point,E,N,H,sE,sN,sH\n,(m),(m),(m),(mm),(mm),(mm)",
+    ],
+)
+def test_sigmas_have_units_of_their_own(folder: Path, photocal: Photocal, head: str) -> None:
+    """Of 8 mm people made 8 m, and such control held nothing."""
+    (folder / "points.csv").write_text(table(head, "{p},{E:.3f},{N:.3f},{Z:.3f},8,9,15"))
+    new(photocal, folder)
+    with (folder / "control.csv").open(encoding="utf-8") as rows:
+        sigmas = {tuple(float(row[key]) for key in ("sX", "sY", "sZ")) for row in csv.DictReader(rows)}
+    assert sigmas == {(0.008, 0.009, 0.015)}
+
+
+@pytest.mark.parametrize(
     ("head", "height"),
     [
         ("Ellip. Height", "ellipsoidal"),

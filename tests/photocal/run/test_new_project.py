@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import re
 import tomllib
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from photocal.base.errors import ConfigurationError, InputNotFoundError, OutputError
 from photocal.block.folder import read_points
+from photocal.block.model import ROLES
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.marks import read_marks
@@ -19,6 +21,7 @@ from photocal.measurement.picture_block import pictures_of_heads
 from photocal.project import read_project
 from photocal.run.campaign import stages
 from photocal.run.new_project import new_project
+from photocal.run.project_checks import check_project, facts_of_pictures
 
 # Curitiba, in the zone EPSG:32722: east 677864, north 7184231.
 LATITUDE, LONGITUDE = -25.4483, -49.2311
@@ -122,6 +125,59 @@ def test_marks_under_heads_of_a_spreadsheet(folder: Path) -> None:
     assert [(m.image, m.point, m.x, m.y) for m in read_marks(folder / "marks.csv")] == [
         ("a0.jpg", "001", 10.0, 19.5)
     ]
+
+
+@pytest.mark.parametrize(
+    ("listed", "marked"), [("GCP-01", "gcp1"), ("1", "001"), ("P 2", "p_02"), ("G1-1", "g01_1")]
+)
+def test_points_that_list_and_marks_write_differently_are_the_same(
+    folder: Path, listed: str, marked: str
+) -> None:
+    places = ";677864.5;7184231.25;912.4\n"
+    (folder / "pontos.csv").write_text(f"Ponto;E;N;Cota\n{listed}{places}G11{places.replace('64', '94')}")
+    (folder / "marcas.csv").write_text(f"Imagem;Ponto;X;Y\na0;{marked};10;20\na1;{marked};11;20\n")
+    new_project(folder, height="ellipsoidal")
+    assert [mark.point for mark in read_marks(folder / "marks.csv")] == [listed, listed]
+
+
+@pytest.mark.parametrize(("second", "role"), [("check_points.csv", "check"), ("more.csv", "control")])
+def test_points_of_two_tables_are_used_together(folder: Path, second: str, role: str) -> None:
+    """Check points in a file of their own; before, one of the files took the place of the other."""
+    (folder / "points.csv").write_text("name,E,N,H\nA,677864.5,7184231.25,912.4\nB,677870,7184241,911\n")
+    (folder / second).write_text("name,E,N,H\nC,677880.5,7184250.25,913.4\n")
+    (folder / "base.csv").write_text("name,E,N,H\nBASE,677881.5,7184255.25,920.4\n")
+    (folder / "seen.csv").write_text(
+        "Image,Point,X,Y\n" + "".join(f"a{k},{p},{10 + k},20\n" for k in (0, 1) for p in "ABC")
+    )
+    made = new_project(folder, height="ellipsoidal")
+    points = read_points(read_project(made.path).control.points or folder)
+    assert points.names == ("A", "B", "C")
+    assert [ROLES[k] for k in points.role] == ["control", "control", role]
+    # Heads in capitals are none of ours: the corner of the upper-left pixel is (0, 0).
+    assert [(mark.point, mark.x, mark.y) for mark in read_marks(folder / "marks.csv")][:1] == [
+        ("A", 9.5, 19.5)
+    ]
+    assert f"control: {second} lists 1 more points, and is used beside points.csv" in made.known
+    assert "control: base.csv is not used beside points.csv" in [*made.known, *made.doubtful]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("size_px", "[300, 400]", "no picture has the size of a camera: a0.jpg has "),
+        ("parameters", "{ c = 8.8 }", "c = 8.8 px is 0.0"),
+    ],
+)
+def test_a_camera_of_other_pictures_is_named_before_any_work(
+    folder: Path, key: str, value: str, said: str
+) -> None:
+    """People put resized pictures there, or the c that stands on the lens."""
+    made = new_project(folder)
+    written = made.path.read_text()
+    check_project(read_project(made.path))
+    made.path.write_text(re.sub(f"(?m)^{key} = .*$", f"{key} = {value}", written))
+    with pytest.raises(ConfigurationError, match=re.escape(said)):
+        check_project(read_project(made.path))
 
 
 def test_tables_that_have_our_names_stay(folder: Path) -> None:
@@ -319,3 +375,42 @@ def test_a_folder_stands_for_the_project_file_in_it(folder: Path) -> None:
     with pytest.raises(InputNotFoundError, match=r"has no project.toml; photocal new .* writes one"):
         read_project(folder)
     assert read_project(new_project(folder).path.parent).path == folder / "project.toml"
+
+
+@pytest.mark.parametrize(
+    ("name", "rows"),
+    [
+        ("reference.txt", "#Label,X/Longitude,Y/Latitude,Z/Altitude,Yaw\na{k}.jpg,{lon},{lat},950.5,0\n"),
+        ("geo.csv", "a{k}.jpg,{lat},{lon},950.5,0.02,0.05\n"),
+        ("geo.txt", "a{k}.jpg;{lat};{lon};950.5\n"),
+        ("positions.csv", "Image,Lat,Lon,Alt\nA{k},{lat},{lon},950.5\n"),
+        ("positions.csv", "file,lat,lon,alt\nD:\\flight\\A{k}.JPG,{lat},{lon},950.5\n"),
+    ],
+)
+def test_positions_as_other_programs_list_them(folder: Path, name: str, rows: str) -> None:
+    *head, row = rows.splitlines(keepends=True)
+    lines = [row.format(k=k, lat=-25.43 - 1e-4 * k, lon=-49.27) for k in range(3)]
+    (folder / name).write_text("".join([*head, *lines]))
+    made = new_project(folder)
+    assert f'positions = "{name}"' in made.path.read_text()
+    assert "3 with a position" in made.known[0] or "3 with a position" in made.known[1]
+    facts = facts_of_pictures(read_project(made.path))
+    assert [image.latitude_deg for image in facts] == pytest.approx([-25.43, -25.4301, -25.4302])
+    assert {(image.longitude_deg, image.altitude_m) for image in facts} == {(-49.27, 950.5)}
+
+
+def test_marks_of_points_that_are_numbers_are_no_positions(folder: Path) -> None:
+    (folder / "marks.txt").write_text("".join(f"a{k}.jpg,7,{12.5 + 10 * k},33.5\n" for k in range(3)))
+    (folder / "points.csv").write_text("name,E,N,H\n7,677864.5,7184231.25,912.4\n")
+    assert "positions" not in new_project(folder, height="ellipsoidal").path.read_text().replace(
+        "_positions", ""
+    )
+    assert len(read_marks(folder / "marks.csv")) == 3
+
+
+def test_positions_that_cannot_be_right_are_not_written_down(folder: Path) -> None:
+    rows = "".join(f"a{k}.jpg,0,0,0\n" for k in range(3))
+    (folder / "zeros.csv").write_text("image,lat,lon,alt\n" + rows)
+    made = new_project(folder)
+    assert any("zeros.csv: 3 of 3 positions of the list are impossible" in line for line in made.missing)
+    assert "zeros.csv" not in made.path.read_text()
