@@ -26,7 +26,7 @@ def main() -> None:
     """Run the command line."""
     # Nothing here multiplies large matrices: threads for that would cost every command a start.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    run(app, texts)
+    run(app, texts, "acquire.commands")
 
 
 def texts(language: str) -> "Texts":

@@ -50,7 +50,7 @@ app = application(
 
 def main() -> None:
     """Run the command line."""
-    run_application(app, texts)
+    run_application(app, texts, "photocal.commands")
 
 
 def texts(language: str) -> "Texts":

@@ -25,8 +25,8 @@ def texts(language: str) -> Texts:
 
 
 def _shared(language: str) -> dict[str, str]:
-    """What both programs refuse, and the frame of their help."""
-    shared = read_texts("photocal.base", "refusals", language) | read_texts("photocal.base", "help", language)
+    """What both programs refuse."""
+    shared = read_texts("photocal.base", "refusals", language)
     # Why a link is lost may be told by the system.
     of_system = {key: text for key, text in shared.items() if key.startswith("refusal.system.")}
     return shared | {key.replace("refusal", "stored", 1): text for key, text in of_system.items()}

@@ -100,7 +100,11 @@ class _Context(typer.Context):
         def meaning(cell: str) -> str:
             """Say what an option is for; behind it stand its default and limits in brackets."""
             whole, gap, limits = cell.partition("  [")
-            return said(whole) + gap + re.sub(r"default(?=: )|required", lambda found: said(found[0]), limits)
+            return (
+                said(whole)
+                + gap
+                + re.sub(r"(default|env var)(?=: )|required", lambda found: said(found[0]), limits)
+            )
 
         def paragraphs(whole: str) -> str:
             """Say what a command does."""
@@ -305,10 +309,13 @@ def printable(text: str) -> str:
 _Misuse: type[Any] = typer.BadParameter.__mro__[1]
 
 
-def run(app: Callable[..., Any], texts: Callable[[str], "Texts"]) -> None:
+def run(app: Callable[..., Any], texts: Callable[[str], "Texts"], commands: str) -> None:
     """Run an application; failures that we know become one line and their exit code.
 
-    texts: gives the texts of a language: help and failures are said in that of the person.
+    Help and failures are said in the language of the person.
+
+    texts: gives the texts of a language.
+    commands: package that has the texts of the help.
     """
 
     def refused(line: str) -> str:
@@ -319,11 +326,11 @@ def run(app: Callable[..., Any], texts: Callable[[str], "Texts"]) -> None:
 
     def helped(text: str) -> str:
         """Say a text of the help."""
-        from photocal.base.sentences import spoken_to
+        from photocal.base.sentences import help_texts, spoken_to
 
         # The help in English answers without reading any texts.
         language = spoken_to(sys.argv[1:])
-        return text if language == "en" else texts(language).helped(text)
+        return text if language == "en" else help_texts(commands, language).helped(text)
 
     # Into a terminal or file of another encoding goes a question mark for a sign that it does not have.
     if isinstance(sys.stdout, io.TextIOWrapper) and not sys.stdout.encoding.lower().startswith("utf"):

@@ -149,6 +149,17 @@ def read_texts(package: str, name: str, language: str) -> dict[str, str]:
 
 
 @cache
+def help_texts(package: str, language: str) -> Texts:
+    """Read what the help of the commands in a package says, and nothing else: help is to be quick."""
+    english, own = (
+        read_texts("photocal.base", "help", one) | read_texts(package, "help", one)
+        for one in ("en", language)
+    )
+    # What is to be typed keeps its point.
+    return Texts(language, ".", own, english)
+
+
+@cache
 def _twins(texts: Texts, section: str) -> tuple[tuple[str, str], ...]:
     """English texts of a section, and the same in another language."""
     english, other = texts.english, texts.messages

@@ -34,7 +34,8 @@ def adjust(
         Path,
         argument(
             "Block folder (block.toml, images.csv, points.csv, observations.csv), or a set-up file of "
-            "another program (docs/exchange.md lists them)."
+            "another program (docs/exchange.md lists them).",
+            metavar="BLOCK",
         ),
     ],
     output: Annotated[Path, option("Folder for the results.", "-o", "--output")],
@@ -100,7 +101,8 @@ def analyse(
     run: Annotated[
         Path,
         argument(
-            "Folder that `photocal adjust` wrote; a block that it refused; or a CSV of published parameters."
+            "Folder that `photocal adjust` wrote; a block that it refused; or a CSV of published parameters.",
+            metavar="RUN",
         ),
     ],
     analysis: AnalysisOptions,
@@ -181,7 +183,7 @@ def analyse(
 
 @spread
 def certificate(
-    run: Annotated[Path, argument("Folder that `photocal adjust` wrote.")],
+    run: Annotated[Path, argument("Folder that `photocal adjust` wrote.", metavar="RUN")],
     output: Annotated[Path, option("Folder for the certificate.", "-o", "--output")],
     *,
     options: CertificateOptions,

@@ -274,7 +274,10 @@ def _interiors(path: Path) -> tuple[Camera, ...]:
 def check(
     block: Annotated[
         Path | None,
-        argument("Block folder, PROJECT.toml, or a set-up file of another program; its points have roles."),
+        argument(
+            "Block folder, PROJECT.toml, or a set-up file of another program; its points have roles.",
+            metavar="BLOCK",
+        ),
     ] = None,
     output: Annotated[
         Path | None, option("Folder for tables, figures, GeoPackages and the report.", "-o", "--output")
@@ -351,7 +354,9 @@ def _of_block(
 
 
 def rover_test(
-    sets: Annotated[Path, argument("CSV of the measured sets: series, set, point, E, N, h (m).")],
+    sets: Annotated[
+        Path, argument("CSV of the measured sets: series, set, point, E, N, h (m).", metavar="SETS.csv")
+    ],
     distance: Annotated[float, option("Known horizontal distance of both rover points, m.")],
     height_difference: Annotated[float, option("Known height of the second point over the first, m.")],
     sigma: Annotated[str, option("Stated standard deviations of the rover: PLANE,HEIGHT, m.")],

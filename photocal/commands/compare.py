@@ -14,7 +14,10 @@ if TYPE_CHECKING:
 def compare(
     calibrations: Annotated[
         list[Path],
-        argument("One TOML file of [[camera]] entries; or certificates, run or work folders, or projects."),
+        argument(
+            "One TOML file of [[camera]] entries; or certificates, run or work folders, or projects.",
+            metavar="CALIBRATION",
+        ),
     ],
     picture: Annotated[
         Path | None, option("Draw the matrices of all pairs (.png, .svg, .pdf).", "--picture")

@@ -27,7 +27,7 @@ _PORTS = ("ttyUSB*", "ttyACM*")
 
 
 def doctor(
-    folder: Annotated[Path, argument("Folder where you will record or process.")] = Path(),
+    folder: Annotated[Path, argument("Folder where you will record or process.", metavar="FOLDER")] = Path(),
     crs: Annotated[
         str | None,
         option("System of a project, such as EPSG:31982+5773: check that its grids are installed."),
@@ -238,10 +238,12 @@ def _key(say: "Catalogue") -> Found:
 
 
 def fetch_grids(
-    crs: Annotated[str, argument("System of the project, with its heights: EPSG:31982+5773.")],
+    crs: Annotated[
+        str, argument("System of the project, with its heights: EPSG:31982+5773.", metavar="SYSTEM")
+    ],
     area: Annotated[
         tuple[float, float, float, float] | None,
-        option("Limits in degrees; default: the whole area of the system.", metavar="W S E N"),
+        option("Limits in degrees; default: the whole area of the system.", metavar="WEST SOUTH EAST NORTH"),
     ] = None,
     dry: Annotated[bool, option("Only list what is missing.", "--dry-run")] = False,
     language: Language = "",

@@ -16,7 +16,7 @@ FORMATS = ", ".join(exported())
 
 
 def export(
-    run: Annotated[Path, argument("Run folder that photocal adjust wrote.")],
+    run: Annotated[Path, argument("Run folder that photocal adjust wrote.", metavar="RUN")],
     output: Annotated[Path, option("Folder for the files.", "-o", "--output")],
     form: Annotated[str, option(f"One of {FORMATS}; or of another package.", "--format")],
     angle_unit: Annotated[

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 @spread
 def mark(
     project: Annotated[
-        Path | None, argument("Project file: pictures, control points and where marks are kept.")
+        Path | None,
+        argument("Project file: pictures, control points and where marks are kept.", metavar="PROJECT"),
     ] = None,
     images: Annotated[Path | None, option("Folder with the images, without a project.")] = None,
     points: Annotated[
@@ -119,7 +120,8 @@ def targets(
     kind: Annotated[
         str,
         argument(
-            "disc, ring, cross, hourglass, chessboard, charuco, or a dictionary such as apriltag_36h11."
+            "disc, ring, cross, hourglass, chessboard, charuco, or a dictionary such as apriltag_36h11.",
+            metavar="KIND",
         ),
     ],
     output: Annotated[Path, option("PDF to write.", "-o", "--output")],

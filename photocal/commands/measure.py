@@ -22,7 +22,8 @@ def measure(
     output: Annotated[Path, option("Block folder to write.", "-o", "--output")],
     *,
     project: Annotated[
-        Path | None, argument("Project file: pictures, camera, control, marks and targets.")
+        Path | None,
+        argument("Project file: pictures, camera, control, marks and targets.", metavar="PROJECT"),
     ] = None,
     images: Annotated[Path | None, option("Folder with the images.")] = None,
     options: MeasureOptions,

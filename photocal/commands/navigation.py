@@ -14,7 +14,8 @@ from photocal.navigation.options import ExposureOptions, PpkOptions, ReceiverOpt
 def ppk(
     output: Annotated[Path, option("Folder for trajectory.csv, summary and plot.", "-o", "--output")],
     flight: Annotated[
-        list[Path] | None, argument("Flight logs with raw frames of both, that follow each other.")
+        list[Path] | None,
+        argument("Flight logs with raw frames of both, that follow each other.", metavar="FLIGHT.mcap"),
     ] = None,
     *,
     receivers: ReceiverOptions,
@@ -45,7 +46,9 @@ def exposures(
     output: Annotated[Path, option("Folder for exposures.csv and the rest.", "-o", "--output")],
     flight: Annotated[
         list[Path] | None,
-        argument("Flight logs that follow each other, or one PROJECT.toml that names everything."),
+        argument(
+            "Flight logs that follow each other, or one PROJECT.toml that names everything.", metavar="FLIGHT"
+        ),
     ] = None,
     *,
     options: ExposureOptions,
@@ -86,7 +89,8 @@ def survey(
             "[[baseline]] name, start, end, base, rover (RINEX or flight logs, with base_link, rover_link), "
             "nav, products, base_antenna_m, rover_antenna_m; "
             "[[ppp]] name, rover, nav, products (SP3, CLK), rover_antenna_m; antex with base_antenna, "
-            "rover_antenna (types and radomes)."
+            "rover_antenna (types and radomes).",
+            metavar="SURVEY.toml",
         ),
     ],
     output: Annotated[Path, option("Folder for points.csv and the summary.", "-o", "--output")],
@@ -123,9 +127,14 @@ def survey(
 @spread
 def localise(
     local: Annotated[
-        Path, argument("Points in the local system: point, X, Y, Z, optional sX, sY, sZ, role.")
+        Path,
+        argument(
+            "Points in the local system: point, X, Y, Z, optional sX, sY, sZ, role.", metavar="LOCAL.csv"
+        ),
     ],
-    mapped: Annotated[Path, argument("Points in the map system, as `photocal survey` writes them.")],
+    mapped: Annotated[
+        Path, argument("Points in the map system, as `photocal survey` writes them.", metavar="MAP.csv")
+    ],
     output: Annotated[Path, option("Folder for the report and the points.", "-o", "--output")],
     *,
     options: SiteOptions,

@@ -15,7 +15,9 @@ from photocal.planning.options import (
 
 @spread
 def plan(
-    area: Annotated[Path, argument("Polygon: GeoJSON, KML, KMZ, or CSV with lat_deg and lon_deg.")],
+    area: Annotated[
+        Path, argument("Polygon: GeoJSON, KML, KMZ, or CSV with lat_deg and lon_deg.", metavar="AREA")
+    ],
     output: Annotated[Path, option("Folder for the plan.", "-o", "--output")],
     flight: FlightOptions,
     limits: LimitOptions,
@@ -46,7 +48,9 @@ def plan(
 
 
 def plan_network(
-    network: Annotated[Path, argument("TOML file: camera, object, stations, datum, distances.")],
+    network: Annotated[
+        Path, argument("TOML file: camera, object, stations, datum, distances.", metavar="NETWORK.toml")
+    ],
     output: Annotated[
         Path | None, option("Folder for figures, picture, block and adjustment.", "-o", "--output")
     ] = None,
@@ -77,7 +81,9 @@ def plan_network(
 
 @spread
 def flown(
-    block: Annotated[Path, argument("Block folder, PROJECT.toml, or a set-up file of another program.")],
+    block: Annotated[
+        Path, argument("Block folder, PROJECT.toml, or a set-up file of another program.", metavar="BLOCK")
+    ],
     files: FlownOptions,
     run: Annotated[Path | None, option("Adjustment of the block; without: orientations as given.")] = None,
     exposure_ms: Annotated[float | None, option("Exposure time, ms, if the images do not state it.")] = None,

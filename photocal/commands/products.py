@@ -9,7 +9,7 @@ from photocal.products.options import ContourOptions, OrthoOptions, VolumeOption
 
 @spread
 def ortho(
-    block: Annotated[Path, argument("Block folder, or a set-up file of another program.")],
+    block: Annotated[Path, argument("Block folder, or a set-up file of another program.", metavar="BLOCK")],
     images: Annotated[Path, option("Folder of the image files.")],
     dtm: Annotated[
         Path,
@@ -44,7 +44,10 @@ def ortho(
 def contours(
     dtm: Annotated[
         Path,
-        argument("Terrain model: any raster that GDAL reads, or a CSV of points (X, Y, Z, optional line)."),
+        argument(
+            "Terrain model: any raster that GDAL reads, or a CSV of points (X, Y, Z, optional line).",
+            metavar="TERRAIN",
+        ),
     ],
     output: Annotated[Path, option("File to write: .dxf, .shp or .gpkg.", "-o", "--output")],
     *,
@@ -73,7 +76,8 @@ def volume(
         Path | None,
         argument(
             "CSV of the points on the shell: section, point, X, Y, Z in metres, optional standard "
-            "deviations sX, sY, sZ and correlations rXY, rXZ, rYZ."
+            "deviations sX, sY, sZ and correlations rXY, rXZ, rYZ.",
+            metavar="SECTIONS.csv",
         ),
     ] = None,
     *,
@@ -85,7 +89,7 @@ def volume(
 
     A circle is fitted to every section with the covariance of its points, a cylinder to all of them.
 
-    Example: `photocal volume sections.csv --sigma 0.014 --height 9.5 --height-sigma 0.004 --plot rings.pdf`
+    Example: `photocal volume sections.csv --sigma 0.014 --height 9.5 --height-sigma 0.004 --plot rings.pdf`,
     or `photocal volume --radius 6.479 --radius-sigma 0.003 --height 9.5 --height-sigma 0.004`
     """
     from photocal.findings.texts import catalogue, spoken

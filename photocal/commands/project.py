@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 
 
 def new(
-    folder: Annotated[Path, argument("Folder of a flight: pictures, control, marks, logs.")],
+    folder: Annotated[
+        Path, argument("Folder of a flight: pictures, control, marks, logs.", metavar="FOLDER")
+    ],
     crs: Annotated[
         str, option("Coordinate system of the control points if their file states none: code or name.")
     ] = "",
@@ -70,7 +72,7 @@ def new(
 
 
 def adopt(
-    project: Annotated[Path, argument("Folder of the project, or its set-up file.")],
+    project: Annotated[Path, argument("Folder of the project, or its set-up file.", metavar="PROJECT")],
     output: Annotated[Path, option("Folder for block, run and certificate.", "-o", "--output")],
     gcp: Annotated[Path | None, option("gcp_list.txt for a project without control.")] = None,
     language: Language = "",
@@ -99,7 +101,8 @@ def adopt(
 
 def run(
     projects: Annotated[
-        list[Path], argument("Project files, or their folders; several run one after another.")
+        list[Path],
+        argument("Project files, or their folders; several run one after another.", metavar="PROJECT"),
     ],
     until: Annotated[str | None, option("Last stage to run.")] = None,
     again: Annotated[
@@ -141,7 +144,9 @@ def run(
 
 
 def debrief(
-    project: Annotated[Path, argument("Project file, or the folder that has `project.toml`.")],
+    project: Annotated[
+        Path, argument("Project file, or the folder that has `project.toml`.", metavar="PROJECT")
+    ],
     since: Annotated[
         Path | None, option("Run folder or file of cameras of the last calibration, to compare c with.")
     ] = None,
@@ -200,7 +205,9 @@ def _cameras(since: Path) -> "tuple[Camera, ...]":
 
 
 def desk(
-    folder: Annotated[Path, argument("Folder of a flight, or a folder that has such folders.")],
+    folder: Annotated[
+        Path, argument("Folder of a flight, or a folder that has such folders.", metavar="FOLDER")
+    ],
     address: Address = "127.0.0.1:8760",
     cache: Annotated[Path | None, option("Folder for tiles; ~/.cache/photocal when not given.")] = None,
     language: Language = "",

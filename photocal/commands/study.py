@@ -11,7 +11,8 @@ from photocal.base.console import AsJson, Language, answer, argument, option, pr
 def study(
     context: typer.Context,
     name: Annotated[
-        str | None, argument("Name of a shipped study, or a folder with a study.toml; without: a list.")
+        str | None,
+        argument("Name of a shipped study, or a folder with a study.toml; without: a list.", metavar="STUDY"),
     ] = None,
     output: Annotated[
         Path | None, option("New folder for its files and results; without: its name.", "-o", "--output")

@@ -88,7 +88,9 @@ def keys(
 
 
 def sign(
-    certificate: Annotated[Path, argument("Folder of a certificate, or its certificate.json.")],
+    certificate: Annotated[
+        Path, argument("Folder of a certificate, or its certificate.json.", metavar="CERTIFICATE")
+    ],
     passphrase: Annotated[
         str, option("Passphrase of the signing key, if it has one.", envvar="PHOTOCAL_PASSPHRASE")
     ] = "",
@@ -139,7 +141,10 @@ def sign(
 def verify(
     certificate: Annotated[
         Path,
-        argument("Folder of a certificate, its certificate.json, or a TOML file with a printed calibration."),
+        argument(
+            "Folder of a certificate, its certificate.json, or a TOML file with a printed calibration.",
+            metavar="CERTIFICATE",
+        ),
     ],
     block: Annotated[
         Path | None,

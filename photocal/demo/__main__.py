@@ -88,4 +88,4 @@ def dcs460(
 
 
 if __name__ == "__main__":
-    run(app, catalogue)
+    run(app, catalogue, "photocal.commands")

@@ -100,7 +100,7 @@ class VolumeOptions(Options):
     shape: Annotated[
         str,
         Option(
-            "circle; or a curve or a polygon through the points of a section in their order around it: "
+            "circle; or curve or polygon, through the points of a section in their order around it: "
             "areas and volume by quadrature."
         ),
     ] = "circle"

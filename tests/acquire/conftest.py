@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import io
-import os
-import signal
 import subprocess
-import sys
 from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from acquire.cli import main
 from drivers.mavlink.dialect import ardupilotmega
 from tests.conftest import Once
+from tests.programs import called
 from tests.telemetry import telemetry_log
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
@@ -23,30 +19,8 @@ Acquire = Callable[..., subprocess.CompletedProcess[str]]
 
 @pytest.fixture(scope="session")
 def acquire() -> Acquire:
-    """Run `acquire` with arguments, as a person does, in this process: that is quicker than one of its own.
-
-    Tests that kill or stop it, or look at what it imports, start processes of their own.
-    """
-
-    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-        out, err, code = io.StringIO(), io.StringIO(), 0
-        handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-        given, sys.argv = sys.argv, ["acquire", *map(str, arguments)]
-        environment = dict(os.environ)
-        try:
-            with redirect_stdout(out), redirect_stderr(err):
-                main()
-        except SystemExit as end:
-            code = end.code if isinstance(end.code, int) else int(end.code is not None)
-        finally:
-            sys.argv = given
-            os.environ.clear()
-            os.environ.update(environment)
-            for number, handler in handlers.items():
-                signal.signal(number, handler)
-        return subprocess.CompletedProcess(sys.argv, code, out.getvalue(), err.getvalue())
-
-    return run
+    """Run `acquire` with arguments, see `tests.programs.called`."""
+    return partial(called, "acquire")
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""Help, wrong calls, progress and answers of `acquire`: every text has its Portuguese, nothing is cut."""
+"""Wrong calls, progress and answers of `acquire`: every text has its Portuguese, nothing is cut."""
 
 from __future__ import annotations
 
@@ -13,75 +13,14 @@ from pathlib import Path
 import pytest
 
 import acquire as package
-from acquire.cli import app
 from acquire.commands.simulate import FAULTS
-from tests.acquire.commands.test_languages import (
-    ENGLISH_OWN,
-    PORTUGUESE,
-    foreign,
-    literals,
-    python,
-    words,
-)
-from tests.docs.command_pages import commands
+from tests.acquire.commands.test_languages import literals, python
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
-
-OWN = [one for one in commands() if one.name.startswith("acquire ")]
-CALLED = [[], *(one.name.split()[1:] for one in OWN)]
-# As the programs name things in both languages.
-NAMES = words(" ".join([*(one.name for one in OWN), FAULTS, "pictures observations block card token"]))
-NAMES |= {word for one in OWN for parameter in one.command.params for word in words(" ".join(parameter.opts))}
-
 
 OVERWRITTEN = "é lido, e seria sobrescrito; indique outra saída"
 MISSING = "não pode ser lido (o arquivo ou a pasta não existe); verifique o nome e as permissões"
 FLIGHT = ["simulate", "flight", "small", "-o", "x"]
-
-
-def helps() -> Iterator[str]:
-    """Every text that a help of `acquire` has; examples have their own pattern."""
-    yield str(app.info.help)
-    for one in OWN:
-        for paragraph in one.command.help.split("\n\n"):
-            yield " ".join(paragraph.split())
-        yield from (parameter.help for parameter in one.command.params if not parameter.hidden)
-
-
-def test_every_help_text_has_its_portuguese() -> None:
-    every = set(helps())
-    assert len(every) > 60
-    assert [text for text in every if PORTUGUESE.helped(text) == text] == []
-
-
-def test_every_portuguese_help_text_is_of_a_command() -> None:
-    """A text that was changed in its command would stay English, unseen."""
-    every = "\n".join(helps())
-    placeholders = {str(parameter.metavar) for one in OWN for parameter in one.command.params}
-    for key, text in ENGLISH_OWN.items():
-        if key.startswith("help.name_"):
-            assert text in placeholders, key
-        elif key.startswith("help."):
-            assert text.partition("{")[0] in every, key
-
-
-@pytest.mark.parametrize("width", [60, 80])
-def test_no_help_is_english_or_too_wide(
-    acquire: Acquire, monkeypatch: pytest.MonkeyPatch, width: int
-) -> None:
-    monkeypatch.setenv("LC_ALL", "pt_BR.UTF-8")
-    monkeypatch.setenv("COLUMNS", str(width))
-    wrong = []
-    for called in CALLED:
-        printed = acquire(*called, "--help")
-        assert printed.returncode == 0
-        assert printed.stdout.startswith("Uso: ")
-        prose = re.sub(r"`[^`]*`", " ", printed.stdout)
-        english = words(prose) & foreign(*NAMES, "configuration", "rover")
-        wide = [line for line in printed.stdout.splitlines() if len(line) > width]
-        if english or wide:
-            wrong.append((called, english, wide))
-    assert wrong == []
 
 
 def test_the_option_asks_for_the_language_of_the_help(acquire: Acquire) -> None:

@@ -42,7 +42,13 @@ def python(package: ModuleType) -> Iterator[str]:
         yield path.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("place", [("acquire.commands", "said"), ("photocal.base", "help")])
+@pytest.mark.parametrize(
+    "place",
+    [
+        ("acquire.commands", "said"),
+        *((package, "help") for package in ("photocal.base", "acquire.commands", "photocal.commands")),
+    ],
+)
 def test_same_keys_and_same_places_for_values(place: tuple[str, str]) -> None:
     english, portuguese = (read_texts(*place, one) for one in ("en", "pt-BR"))
     assert english.keys() == portuguese.keys()
@@ -54,8 +60,7 @@ def test_same_keys_and_same_places_for_values(place: tuple[str, str]) -> None:
 def test_every_text_is_used_and_every_used_text_is_there() -> None:
     source = "".join(python(acquire))
     sections = {key.partition(".")[0] for key in ENGLISH_OWN}
-    # Those of the help are found by their English, see `test_help`.
-    keys = {key for key in ENGLISH_OWN if not key.startswith(("stored.", "number.", "help."))}
+    keys = {key for key in ENGLISH_OWN if not key.startswith(("stored.", "number."))}
     assert set(re.findall(r'\bsay\(\s*"([a-z_]+\.[a-z_]+)"', source)) <= keys
     quoted = set(re.findall(r"[\"']([a-z_]+\.[a-z_]+)[\"']", source))
     assert len({key for key in quoted if key.partition(".")[0] in sections}) > 30
