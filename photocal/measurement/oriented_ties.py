@@ -178,7 +178,7 @@ def orient_ties(
     names = start.images.names
     try:
         with progress("orienting the pictures", None):
-            first = first_orientation(start, tracks, sources[0].cache)
+            first = first_orientation(start, tracks, sources[0].cache if sources else None)
     except PhotocalError as refusal:
         places = np.full((tracks.count, 3), np.nan)
         block = with_ties(start, tracks, places, np.ones(len(tracks.track)))
