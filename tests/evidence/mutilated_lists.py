@@ -88,7 +88,7 @@ def answered(*arguments: str) -> Said:
     ):
         warnings.simplefilter("error")
         try:
-            run(COMMANDS, texts)
+            run(COMMANDS, texts, "photocal.commands")
         except SystemExit as end:
             code = int(end.code or 0)
         except BaseException:
