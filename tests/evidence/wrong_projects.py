@@ -1,4 +1,4 @@
-"""Study: wrong projects made from the practice project; the last line must name the cause.
+"""Study: wrong projects made from the practice project; what ends the run must name the cause.
 
 Writes `docs/evidence/wrong-projects.md`. One flight of the demonstration is simulated and processed as far as
 its exposures; then one thing is made wrong at a time.
@@ -35,7 +35,7 @@ class Wrong:
     spoil : callable
         Changes the folder of the project.
     named : str
-        What the last line must say (regular expression).
+        What the refusal, or the first line of the verdict, must say (regular expression).
     """
 
     title: str
@@ -132,21 +132,25 @@ CASES = (
     ),
     Wrong("other names in the table", control(lambda r: [r[0].lower(), *r[1:]]), "names the same"),
     Wrong("height kind without a system of heights", toml('"ellipsoidal"', '"orthometric"'), "EPSG:31982\\+"),
-    Wrong("heights of another kind", control(moved(-4.1, 3)), "height-kind|antenna-height|height datum"),
+    Wrong(
+        "heights of another kind",
+        control(moved(-4.1, 3)),
+        "antenna height .* ellipsoidal against geoid heights",
+    ),
     Wrong("control shifted by 100 m", control(moved(100.0, 1)), "points lie .100 m east"),
 )
 
 
-def last_line(site: Path, case: Wrong, folder: Path) -> tuple[str, bool]:
-    """Run a wrong project; give its last line, and whether a traceback was seen."""
+def ending(site: Path, case: Wrong, folder: Path) -> tuple[str, bool]:
+    """Run a wrong project: its refusal or the first line of its verdict, and whether a traceback was seen."""
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(site, folder, copy_function=shutil.copyfile)
     case.spoil(folder)
     said = CliRunner().invoke(app, ["run", str(folder / "project.toml")])
     if isinstance(said.exception, PhotocalError):
         return f"error: {said.exception}", False
-    lines = [line for line in said.stdout.splitlines() if line.strip()]
-    return (lines[-1] if lines else ""), said.exception is not None
+    lines = (line.strip() for line in said.stdout.splitlines())
+    return next((line[2:] for line in lines if line.startswith("* ")), ""), said.exception is not None
 
 
 def main(site: Path | None) -> None:
@@ -158,7 +162,7 @@ def main(site: Path | None) -> None:
         CliRunner().invoke(app, ["run", str(site / "project.toml"), "--until", "exposures"])
         rows = []
         for case in CASES:
-            line, traceback = last_line(site, case, place / "wrong")
+            line, traceback = ending(site, case, place / "wrong")
             good = re.search(case.named, line) is not None and not traceback
             kept = (place / "wrong" / "work" / "ppk" / "stage.json").exists()
             shown = line.replace(str(place / "wrong") + "/", "").replace("|", "/")
@@ -168,11 +172,12 @@ def main(site: Path | None) -> None:
     text = [
         "# Wrong projects",
         "",
-        "Made by `python -m tests.evidence.wrong_projects`: the practice project with one error. The last",
-        f"line of `photocal run` names the cause in **{named} of {len(rows)}**, without a traceback;",
+        "Made by `python -m tests.evidence.wrong_projects`: the practice project with one error. The",
+        "refusal of `photocal run`, or the first line of its verdict, names the cause in",
+        f"**{named} of {len(rows)}**, without a traceback;",
         f"stages made before are kept in {sum(kept for *_, kept, _ in rows)}.",
         "",
-        "| wrong | named | last line |",
+        "| wrong | named | refusal, or first line of the verdict |",
         "|---|---|---|",
         *(f"| {title} | {'yes' if good else 'NO'} | {line[:200]} |" for title, good, _, line in rows),
     ]

@@ -14,7 +14,7 @@ from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.project import read_project
 from photocal.run.project_checks import check_project, check_rays
-from tests.evidence.wrong_projects import CASES, Wrong, last_line
+from tests.evidence.wrong_projects import CASES, Wrong, ending
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 PROJECT = """[project]
@@ -81,8 +81,8 @@ def test_the_practice_project_is_right(site: Path) -> None:
 @pytest.mark.parametrize(
     "case", [case for case in CASES if not case.title.startswith(LATER)], ids=lambda case: case.title
 )
-def test_the_last_line_names_the_cause(site: Path, tmp_path: Path, case: Wrong) -> None:
-    line, traceback = last_line(site, case, tmp_path / "wrong")
+def test_what_ends_a_run_names_the_cause(site: Path, tmp_path: Path, case: Wrong) -> None:
+    line, traceback = ending(site, case, tmp_path / "wrong")
     assert not traceback
     assert re.search(case.named, line), line
 
