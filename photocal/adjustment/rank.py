@@ -38,8 +38,8 @@ DATUM_NAMES = (*(f"position in {axis}" for axis in XYZ), *(f"rotation about {axi
 
 
 @dataclass(frozen=True)
-class _Resistance:
-    """What of the unknowns the observations resist hardly or not at all, at a state."""
+class _NullSpace:
+    """What the normal equations at a state determine hardly or not at all."""
 
     problem: Problem
     state: State
@@ -62,10 +62,14 @@ class _Resistance:
     @cached_property
     def _weak(self) -> tuple[Floats, Floats]:
         """Eigenvalues of the scaled matrix that are suspect, with their eigenvectors."""
-        values, vectors = eigh(self.scaled[1], subset_by_value=(-np.inf, SUSPECT.null))
+        matrix = self.scaled[1]
+        if not np.isfinite(matrix).all():
+            # Of coordinates beyond all measure nothing can be said.
+            return np.zeros(0), np.zeros((len(matrix), 0))
+        values, vectors = eigh(matrix, subset_by_value=(-np.inf, SUSPECT.null))
         return values, vectors
 
-    def null(self, limit: float) -> Floats:
+    def vectors(self, limit: float) -> Floats:
         """Eigenvectors of the scaled matrix with eigenvalues below a limit, as columns."""
         values, vectors = self._weak
         return np.asarray(vectors[:, values < limit])
@@ -90,23 +94,23 @@ def weakest_pivot(factor_diagonal: Floats, diagonal: Floats) -> float:
 
 def explain_singular(problem: Problem, state: State, limits: RankLimits = SINGULAR) -> None:
     """Raise what the observations leave undetermined; return when they determine everything."""
-    _explain(_Resistance(problem, state), limits)
+    _explain(_NullSpace(problem, state), limits)
 
 
-def _explain(resistance: _Resistance, limits: RankLimits) -> None:
-    problem = resistance.problem
+def _explain(space: _NullSpace, limits: RankLimits) -> None:
+    problem = space.problem
     names = problem.network.point_names
-    alone = resistance.parallel(limits.parallel)
+    alone = space.parallel(limits.parallel)
     if len(alone):
         some = ", ".join(names[j] for j in alone[:5])
         raise IllPosedError(
             f"the rays of {len(alone)} object point(s) do not intersect ({some})",
             "give these points rays from different places, or remove them",
         ).of_points(tuple(names[j] for j in alone))
-    null = resistance.null(limits.null)
+    null = space.vectors(limits.null)
     if not null.shape[1]:
         return
-    datum, other = _datum_part(resistance, null)
+    datum, other = _datum_part(space, null)
     named = unknowns(problem)
     parts = []
     if datum:
@@ -117,7 +121,7 @@ def _explain(resistance: _Resistance, limits: RankLimits) -> None:
     raise IllPosedError(
         f"the network is {how} (rank defect {null.shape[1]}): " + "; ".join(parts),
         "add control points, weighted positions or prior sigmas, or hold what cannot be determined",
-        details=_null_vectors(named, null, resistance.scaled[0]),
+        details=_null_vectors(named, null, space.scaled[0]),
     )
 
 
@@ -130,12 +134,12 @@ def require_determined(
     distance = np.linalg.norm(state.points - first, axis=1)
     spread = np.sqrt(np.trace(point_covariance, axis1=1, axis2=2))
     lost = np.flatnonzero(~(spread < LOST_POINT * distance))
-    resistance = _Resistance(problem, state)
+    space = _NullSpace(problem, state)
     if len(lost):
         # Where rounding alone has let a singular system through, no weak datum excuses it.
-        _explain(resistance, SINGULAR)
-    if len(lost) and not _only_the_datum(resistance):
-        _explain(resistance, SUSPECT)
+        _explain(space, SINGULAR)
+    if len(lost) and not _only_the_datum(space):
+        _explain(space, SUSPECT)
         some = ", ".join(problem.network.point_names[j] for j in lost[:5])
         raise IllPosedError(
             f"{len(lost)} object point(s) are uncertain by more than half of their distance ({some}): "
@@ -160,13 +164,13 @@ def require_cameras(problem: Problem, state: State, camera_covariance: Floats) -
 
 def only_the_datum_is_weak(problem: Problem, state: State) -> bool:
     """Whether all that is uncertain is where the whole lies: rays do not mind, and the shape is known."""
-    return _only_the_datum(_Resistance(problem, state))
+    return _only_the_datum(_NullSpace(problem, state))
 
 
-def _only_the_datum(resistance: _Resistance) -> bool:
-    if len(resistance.parallel(SUSPECT.parallel)):
+def _only_the_datum(space: _NullSpace) -> bool:
+    if len(space.parallel(SUSPECT.parallel)):
         return False
-    datum, other = _datum_part(resistance, resistance.null(SUSPECT.null))
+    datum, other = _datum_part(space, space.vectors(SUSPECT.null))
     return bool(datum) and not other.shape[1]
 
 
@@ -176,10 +180,10 @@ def share_of_datum(problem: Problem, state: State, step: Floats, scale: Floats) 
     return float(np.linalg.norm(moves.T @ (step * scale)) / np.linalg.norm(step * scale))
 
 
-def _datum_part(resistance: _Resistance, null: Floats) -> tuple[list[str], Floats]:
+def _datum_part(space: _NullSpace, null: Floats) -> tuple[list[str], Floats]:
     """Datum elements that make up null vectors, and the null vectors that are something else."""
-    scale, scaled = resistance.scaled
-    moves = similarity_moves(resistance.problem, resistance.state)[0] * scale[:, None]
+    scale, scaled = space.scaled
+    moves = similarity_moves(space.problem, space.state)[0] * scale[:, None]
     length = np.linalg.norm(moves, axis=0)
     unit = moves / np.where(length > 0, length, 1.0)
     weights = np.linalg.lstsq(unit, null, rcond=None)[0]

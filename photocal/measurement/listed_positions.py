@@ -119,9 +119,11 @@ def _solution_row(line: str, where: str) -> tuple[float, ...]:
         latitude, longitude, height, _, _, *sigmas = (float(cell) for cell in cells[2:10])
     except (ValueError, IndexError) as refusal:
         raise wrong from refusal
-    if not (abs(latitude) <= 90.0 and abs(longitude) <= 360.0 and np.isfinite(height)):
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 360.0 and np.isfinite([time_s, height]).all()):
         raise wrong
-    return time_s, latitude, longitude, height, *sigmas, *[np.nan] * (3 - len(sigmas))
+    # Four decimals are printed: zero is a sigma that is not told.
+    told = [sigma if sigma > 0.0 else np.nan for sigma in sigmas]
+    return time_s, latitude, longitude, height, *told, *[np.nan] * (3 - len(told))
 
 
 @dataclass(frozen=True)

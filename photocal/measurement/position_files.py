@@ -182,7 +182,9 @@ def _latitudes_first(path: Path, names: Sequence[str]) -> tuple[str, dict[str, l
         accuracies = values[3:5] if len(values) > 4 else [np.nan, np.nan]
         rows[image] = [values[1], values[0], values[2], np.nan, np.nan, np.nan, *accuracies]
     known = any(_called(image) in called for image in rows)
-    return ("EPSG:4326", rows) if known and (np.ptp(list(rows.values()), axis=0)[:2] < wide).all() else None
+    if not known or (np.ptp([row[:2] for row in rows.values()], axis=0) >= wide).any():
+        return None
+    return "EPSG:4326", rows
 
 
 def _require_credible(listed: ListedPositions, path: Path) -> None:

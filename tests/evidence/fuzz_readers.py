@@ -47,6 +47,7 @@ from photocal.exchange.metashape import read_metashape
 from photocal.exchange.opensfm import read_reconstruction
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import read_grey
+from photocal.measurement.position_files import read_positions
 from photocal.navigation.engine import read_solution
 from photocal.navigation.events import read_mrk
 from photocal.navigation.precise_results import read_observation_file
@@ -245,6 +246,12 @@ def _flight(folder: Path) -> Iterator[Reader]:
     place = "47.6436873208,Lat\t16.4759271684,Lon\t512.998,Ellh\t0.014391, 0.013698, 0.029694\t50,Q\n"
     mrk.write_text("".join(f"{n}\t29628{n}.24\t[2211]\t 3,N\t 0,E\t 75,V\t{place}" for n in range(1, 9)))
     yield Reader("logs", mrk, read_mrk)
+    events = folder / "x_events.pos"
+    row = (
+        "2026/05/18 10:18:0{}.234  47.643687320  16.475927168  512.9980  1 11  0.0130  0.0140  0.0290 0 0 0\n"
+    )
+    events.write_text("".join(map(row.format, range(1, 9))))
+    yield Reader("tables", events, lambda p: read_positions(p, [f"a{k}.jpg" for k in range(8)]))
     rinex = ROOT.parent / "shared" / "data" / "gnss-rinex-static-known" / "rover.obs"
     if rinex.is_file():
         short = folder / "short.obs"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
@@ -223,6 +224,15 @@ def test_events_of_rtklib_are_positions_of_the_pictures(
         assert (facts.latitude_deg, facts.longitude_deg) == pytest.approx((latitude, longitude), abs=1e-9)
         assert facts.altitude_m == pytest.approx(height + 50, abs=1e-4)
         assert facts.position_sigma_m == pytest.approx((0.014, 0.013, 0.029))
+
+
+def test_a_sigma_of_zero_in_a_solution_is_none(tmp_path: Path) -> None:
+    """Four decimals are printed: a position without an error would hold the block."""
+    write_picture(tmp_path / "P0.JPG", POINTS[0])
+    (tmp_path / "x_events.pos").write_text(solution(0, POINTS[0]).replace("0.0130", "0.0000"))
+    facts = read_positions(tmp_path / "x_events.pos", ["P0.JPG"])(read_facts(tmp_path / "P0.JPG"))
+    assert np.isnan(facts.position_sigma_m[1])
+    assert (facts.position_sigma_m[0], facts.position_sigma_m[2]) == (0.014, 0.029)
 
 
 def test_heights_are_asked_where_a_list_of_exposures_alone_places_the_pictures(tmp_path: Path) -> None:
