@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import queue
 import signal
 import subprocess
 import sys
@@ -214,11 +215,28 @@ def _user_folder(variable: str, hidden: str, windows: str, mac: str) -> Path:
 def stopped_by_signals() -> threading.Event:
     """Give an event that Ctrl-C, a request to end the process and the loss of its terminal set."""
     stop = threading.Event()
+    # The main thread that a signal interrupts may hold the lock of the event, for which the handler would
+    # wait for ever. Of what hands something to another thread, this queue alone may be used by a handler.
+    asked: queue.SimpleQueue[int] = queue.SimpleQueue()
+
+    def wait() -> None:
+        """Set the event at the first signal."""
+        asked.get()
+        stop.set()
+
+    threading.Thread(target=wait, name="signals", daemon=True).start()
     for number in _STOPS:
         # Who starts it by nohup wants it to outlive the terminal.
         if number == _INTERRUPT or signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, lambda *_: stop.set())
+            signal.signal(number, lambda number, _: asked.put(number))
     return stop
+
+
+def wait_until(stop: threading.Event) -> None:
+    """Wait for an event as `stopped_by_signals` gives it, for as long as it takes."""
+    # Windows lets no signal interrupt a wait without an end.
+    while not stop.wait(0.5):
+        pass
 
 
 def interrupt(process: subprocess.Popen[Any]) -> None:

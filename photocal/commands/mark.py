@@ -95,7 +95,7 @@ def _show(
     cache: Path | None,
     say: Catalogue,
 ) -> None:
-    from photocal.base.operating_system import cache_folder, stopped_by_signals
+    from photocal.base.operating_system import cache_folder, stopped_by_signals, wait_until
     from photocal.base.web import read_address, serving
     from photocal.desk.standing import application, marking_application
     from photocal.project import NAME
@@ -112,7 +112,7 @@ def _show(
         page = marking_application(scene, store, tiles)
     with serving(page, read_address(address)) as url:
         typer.echo(say("marked.open", url=url, file=store.path))
-        stop.wait()
+        wait_until(stop)
 
 
 @spread

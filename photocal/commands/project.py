@@ -221,7 +221,7 @@ def desk(
 
     Example: `photocal desk flight`
     """
-    from photocal.base.operating_system import cache_folder, stopped_by_signals
+    from photocal.base.operating_system import cache_folder, stopped_by_signals, wait_until
     from photocal.base.web import read_address, serving
     from photocal.desk.session import Desk
     from photocal.desk.standing import application, shown
@@ -235,4 +235,4 @@ def desk(
     page = application(folder, tiles)
     with serving(page, read_address(address)) as url:
         typer.echo(catalogue(spoken(language))("marked.open_desk", url=url))
-        stop.wait()
+        wait_until(stop)
