@@ -160,7 +160,30 @@ class ValueClass:
     @property
     def enough_points(self) -> bool:
         """Whether every checked component has the number of points that the standard asks for."""
-        return all(count >= self.standard.minimum_points.value for count in self.counts)
+        return all(count >= self.required_points for count in self.counts)
+
+    @property
+    def least_points(self) -> int:
+        """Points of the component that has fewest."""
+        return min(self.counts, default=0)
+
+    @property
+    def required_points(self) -> int:
+        """How many the standard asks for."""
+        return int(self.standard.minimum_points.value)
+
+    @property
+    def includes_survey(self) -> bool:
+        """Whether the accuracy of the survey is known for each component that was checked."""
+        components = (
+            (self.horizontal_m, self.survey_included_horizontal),
+            (self.vertical_m, self.survey_included_vertical),
+        )
+        return all(included for rmse, included in components if rmse is not None)
+
+    def condition(self, say: Catalogue) -> str:
+        """Say what the class stands on, see `condition`."""
+        return condition(self.least_points, self.required_points, self.includes_survey, say)
 
 
 def class_cm(rmse_m: float) -> float:
@@ -220,17 +243,15 @@ def _with_survey(product: Sample | None, survey_m: float | None) -> float | None
     return None if product is None else math.hypot(product.rmse_m, survey_m or 0.0)
 
 
-def condition(value: ValueClass, say: Catalogue) -> str:
-    """Say what a class stands on: a class is tested with as many points as the standard asks for."""
-    n, required = min(value.counts, default=0), int(value.standard.minimum_points.value)
-    parts = [say("assessed.tested", n=n)]
-    if not value.enough_points:
-        parts = [say("assessed.stated", n=n, required=required)]
-    survey = (
-        (value.horizontal_m, value.survey_included_horizontal),
-        (value.vertical_m, value.survey_included_vertical),
-    )
-    if any(rmse is not None and not included for rmse, included in survey):
+def condition(points: int, required: int, with_survey: bool, say: Catalogue) -> str:
+    """Say what a class stands on: a class is tested with as many points as the standard asks for.
+
+    with_survey: whether the accuracy of the survey is included.
+    """
+    parts = [say("assessed.tested", n=points)]
+    if points < required:
+        parts = [say("assessed.stated", n=points, required=required)]
+    if not with_survey:
         parts.append(say("assessed.without_survey"))
     return ", ".join(parts)
 
@@ -246,4 +267,4 @@ def value_class_text(value: ValueClass, say: Catalogue) -> str:
     reached = ", ".join(
         f"{name} {say.fixed(class_cm(rmse), 1)} cm" for name, rmse in parts if rmse is not None
     )
-    return f"{reached} ({condition(value, say)})"
+    return f"{reached} ({value.condition(say)})"

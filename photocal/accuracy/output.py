@@ -106,9 +106,9 @@ def value_record(value: classes.ValueClass) -> dict[str, Any]:
         },
         **picked(value, "enough_points", standard="standard.id"),
         "survey_included": picked(value, **included),
-        "required_points": int(value.standard.minimum_points.value),
-        "points": min(value.counts, default=0),
-        "condition": classes.condition(value, catalogue("en")),
+        "required_points": value.required_points,
+        "points": value.least_points,
+        "condition": value.condition(catalogue("en")),
     }
 
 

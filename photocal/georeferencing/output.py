@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from photocal.accuracy.classes import ValueClass, class_cm, condition
+from photocal.accuracy.classes import ValueClass, class_cm
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.maps import check_figures, save_figures, write_geopackage
 from photocal.accuracy.output import localised, marked, remarks, told_table
@@ -78,10 +78,10 @@ def _size(basis: str, size: float | None) -> str | None:
 
 def _value_class(value: ValueClass, say: Catalogue) -> str:
     horizontal, vertical = (
-        "-" if rmse_m is None else f"{class_cm(rmse_m):.1f} cm"
+        "-" if rmse_m is None else f"{say.fixed(class_cm(rmse_m), 1)} cm"
         for rmse_m in (value.horizontal_m, value.vertical_m)
     )
-    said = condition(value, say)
+    said = value.condition(say)
     return say("checked.reached_both", horizontal=horizontal, vertical=vertical, condition=said)
 
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from photocal.adjustment.adjust import minimum_of
+from photocal.adjustment.network import own_sigma
 from photocal.adjustment.readout import left_by_movement, with_loose_sides
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.base.policy import policy
@@ -162,12 +163,14 @@ def _preferred(adjusted: AdjustedTies, place: int) -> list[Chosen]:
     ]
 
 
+# By how much another lens must lower v'Pv, and for each unknown more.
+_GAIN = 20.0
+
+
 def _needed(lens: Camera, given: Camera) -> float:
     """By how much a lens must lower v'Pv."""
     unknowns = int(lens.estimated.sum() - given.estimated.sum())
-    # By how much another lens must lower v'Pv, and for each unknown more.
-    gain = 20.0
-    return gain * (unknowns + (lens.model != given.model))
+    return _GAIN * (unknowns + (lens.model != given.model))
 
 
 def _fits_as_well(better: AdjustedTies, before: AdjustedTies) -> bool:
@@ -182,10 +185,29 @@ def _fits_as_well(better: AdjustedTies, before: AdjustedTies) -> bool:
         )
         for camera in better.start.cameras
     ]
+    left = before.solution.chi_squared
     try:
-        return _least(before, cameras, 0)[0] <= before.solution.chi_squared
+        # Images that move on their own while they are read fit better by chance: a lens without a readout
+        # competes with readouts that pay for that, and with those in which all images move as flown.
+        if not any(camera.rolling for camera in cameras):
+            as_flown = [
+                camera.changed(readout=0.0) if camera.rolling else camera for camera in given.values()
+            ]
+            left = min(left + _narrowed(before), _least(before, as_flown, 0)[0] - _GAIN)
+        return _least(before, cameras, 0)[0] <= left
     except (IllPosedError, NotConvergedError):
         return False
+
+
+def _narrowed(adjusted: AdjustedTies) -> float:
+    """By how much movements of the images must lower v'Pv to be likelier than none (Laird and Ware, 1982).
+
+    Twice the logarithm of what the rays leave of their standard deviations, each taken alone.
+    """
+    own, prior = adjusted.solution.photo_variant, own_sigma(adjusted.assembly.network)
+    moves = own.parameter >= len(PARAMETERS)
+    stated = prior[own.image[moves], own.parameter[moves]]
+    return float(2.0 * np.log(stated / own.deviation_sigma[moves]).sum())
 
 
 def _still_pays(better: AdjustedTies, before: AdjustedTies, name: str) -> bool:

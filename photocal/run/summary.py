@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from photocal.accuracy.classes import condition
 from photocal.base.arrays import as_plain
 from photocal.base.policy import policy
 from photocal.block.model import InputFile
@@ -96,15 +97,16 @@ def flown_figures(run: Path) -> dict[str, Any] | None:
 def project_verdict(work: Path, stages: Container[str] | None = None) -> Verdict | None:
     """Give the one verdict over a project: that of its certificate, else over what its stages found.
 
-    returns: none before the block, as it is now, was adjusted.
+    stages: those that count; all that there are when not given.
+    returns: none before the block, as it is now, was adjusted and analysed.
     """
     if outdated(work):
         return None
     certified = read_json(work / "certificate" / "certificate.json")
     if certified is not None and (stages is None or "certificate" in stages):
         return read_verdict(certified["verdict"], work / "certificate")
-    run = work / "calibration"
-    if not (run / RESULT).is_file():
+    run, analysed = work / "calibration", work / "analysis" / RESULT
+    if not analysed.is_file() or (stages is not None and "analysis" not in stages):
         return None
     result, findings = read_result(run), gather(work, stages)
     return judged(result, (*findings, tested(result, findings)))
@@ -374,7 +376,7 @@ def summary_text(figures: dict[str, Any], say: Catalogue | None = None, *, detai
             _line(say("ran.class") if k == 0 else "", text)
             for k, text in enumerate(_class_texts(figures["classes"], say))
         ]
-    # Before the block is adjusted there is no verdict, and whatever was found stands for itself.
+    # Before the block is analysed there is no verdict, and whatever was found stands for itself.
     if details or figures["verdict"] is None:
         lines += _warning_lines(figures["warnings"], figures["verdict"], say)
     if figures["certificate"] is not None:
@@ -383,6 +385,8 @@ def summary_text(figures: dict[str, Any], say: Catalogue | None = None, *, detai
     if figures["verdict"] is not None:
         notes = sum(warning["kind"] == "note" for warning in figures["warnings"])
         lines += _verdict_lines(read_verdict(figures["verdict"], figures["work"]), notes, say)
+    else:
+        lines.append(_line(say("judgement.section").lower(), say("ran.no_verdict")))
     return "\n".join(lines)
 
 
@@ -457,9 +461,11 @@ def _class_texts(standards: list[dict[str, Any]], say: Catalogue) -> Iterator[st
             name = f"{standard['standard']} {standard['product']} {size}"
             yield say("ran.class_text", name=name, **reached)
         elif standard["horizontal"] is not None and standard["vertical"] is not None:
-            reached = {axis: standard[axis]["class_cm"] for axis in ("horizontal", "vertical")}
-            condition = standard["condition"]
-            yield say("ran.class_value", name=standard["standard"], condition=condition, **reached)
+            axes = ("horizontal", "vertical")
+            reached = {axis: say.fixed(standard[axis]["class_cm"], 1) for axis in axes}
+            with_survey = all(standard["survey_included"][axis] for axis in axes)
+            on = condition(standard["points"], standard["required_points"], with_survey, say)
+            yield say("ran.class_value", name=standard["standard"], condition=on, **reached)
 
 
 def _warning_lines(
