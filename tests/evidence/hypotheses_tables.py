@@ -275,7 +275,10 @@ def said(rows: Iterable[Row]) -> str:
     count: Counter[str] = Counter()
     for row in rows:
         count.update({f"{one.code} ({c})" for c in COMMANDS for one in row.told(c) if one.severity in HARSH})
-    return ", ".join(f"{words} {n}" for words, n in count.most_common()) or "nothing"
+    return (
+        ", ".join(f"{words} {n}" for words, n in sorted(count.items(), key=lambda one: (-one[1], one[0])))
+        or "nothing"
+    )
 
 
 def by_name(rows: Iterable[Row]) -> list[tuple[str, list[Row]]]:
