@@ -327,9 +327,14 @@ def of_images(search: Search) -> list[Finding]:
             continue
         small = shift.effect_px < policy.small_px
         figures = {**finding.figures, "moved_px": shift.effect_px}
-        clauses = ("own_geometry", "small") if small else ("own_geometry",)
-        size = Size(_relative(component, search), "1", px=shift.effect_px)
-        listed.append(Finding("image", "note" if small else "doubtful", name, figures, clauses, size))
+        severity: Severity = "note" if small else "doubtful"
+        rest = ("small",) if small else ()
+        if scattered:
+            size = Size(_relative(component, search), "1", px=shift.effect_px)
+            listed.append(Finding("image", severity, name, figures, ("own_geometry", *rest), size))
+        else:
+            size = Size(shift.effect_px, "px", px=shift.effect_px)
+            listed.append(Finding("image-geometry", severity, name, figures, rest, size))
     return sorted(listed, key=lambda entry: -entry.size.figure if entry.size else 0.0)
 
 
