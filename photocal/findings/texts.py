@@ -159,6 +159,12 @@ def _figures(finding: Finding, say: Catalogue, name: Callable[[str], str]) -> di
     return {**figures, "subject": say(key) if key in say.messages else of_camera}
 
 
+def subject_text(finding: Finding, subject: str, say: Catalogue) -> str:
+    """Write a subject of findings that are like this one: groups of observations and methods have terms."""
+    key = next((key for key in ("group", "method") if finding.figures.get(key) == finding.subject), "")
+    return str(_figure(key, subject, say, plain))
+
+
 def _of_another_version(finding: Finding, missing: KeyError) -> InputMalformedError:
     return InputMalformedError(
         f"finding {finding.code} lacks {missing}: it was stored by another version of photocal",

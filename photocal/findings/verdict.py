@@ -17,7 +17,7 @@ from photocal.base.console import printable
 from photocal.base.errors import InputMalformedError
 from photocal.findings.document import Paragraph, Remarks, Section
 from photocal.findings.finding import FACTOR, Finding, Size
-from photocal.findings.texts import Catalogue, finding_json, plain, remedy_text, sentence
+from photocal.findings.texts import Catalogue, finding_json, plain, remedy_text, sentence, subject_text
 
 # May a block be mapped with, may a camera be carried to other flights. Not placed: the datum is inner
 # constraints. Held: nothing of the camera was estimated. On heights: c cannot be told from a shift of them.
@@ -30,6 +30,8 @@ _ESTIMATED = ("principal-distance", "principal-point")
 _OPEN = ("not-separated", "not-determined")
 # What each method of georeferencing shows of one matter.
 _OF_METHODS = ("check-outside-prediction", "control-outside-prediction", "method-refused", "global-test")
+# What each says in figures of its own: the worst is said, with the names of the others.
+_BY_METHOD = ("check-mean", "prediction-too-good")
 _ORDER = ("refused", "grave", "doubtful", "consequence")
 _CONCERNS = tomllib.loads(resources.files(__package__).joinpath("concerns.toml").read_text(encoding="utf-8"))
 _OF_CAMERA, _OF_BLOCK, _SHOWS = (frozenset(_CONCERNS[name]) for name in ("camera", "block", "shows"))
@@ -173,7 +175,8 @@ def _lines(deciding: Sequence[Finding], images: int) -> tuple[VerdictLine, ...]:
     """Findings of one code and one cause are one line, in the place of the worst."""
     lines = list[VerdictLine]()
     for alike in alike_findings(deciding).values():
-        together = len(alike) >= ALIKE and alike[0].code not in _OF_METHODS
+        fewest = 2 if alike[0].code in _BY_METHOD else ALIKE
+        together = len(alike) >= fewest and alike[0].code not in _OF_METHODS
         lines += [_line(part, images) for part in ([alike] if together else [[one] for one in alike])]
     return tuple(lines)
 
@@ -242,9 +245,10 @@ def _shown(line: VerdictLine, say: Catalogue) -> str:
 
 def _grouped(line: VerdictLine, say: Catalogue) -> str:
     key = f"grouped.{line.worst.code}"
+    names = [subject_text(line.worst, subject, say) for subject in line.subjects]
     if key not in say.messages:
         text = sentence(line.worst, say, plain, brief=True)
-        return f"{text} {say('grouped.also', names=shortened(line.subjects[1:]))}"
+        return f"{text} {say('grouped.also', names=shortened(names[1:]))}"
     text = say(
         key,
         n=len(line.subjects),
@@ -252,7 +256,7 @@ def _grouped(line: VerdictLine, say: Catalogue) -> str:
         least=say.fixed(line.sizes[0], 1),
         most=say.fixed(line.sizes[1], 1),
         worst=printable(line.worst.subject),
-        names=shortened(line.subjects),
+        names=shortened(names),
     )
     runs = neighbours(line.subjects)
     return f"{text} {say('grouped.neighbours', runs=say('join.and').join(runs))}" if runs else text

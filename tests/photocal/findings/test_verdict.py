@@ -106,6 +106,19 @@ def test_each_sentence_of_a_verdict_stands_once() -> None:
         assert len(sentences) == len(set(sentences)) > 2
 
 
+@pytest.mark.parametrize(
+    ("language", "also"), [("en", "The same: indirect."), ("pt-BR", "O mesmo: indireto.")]
+)
+def test_biased_check_points_are_told_once_for_both_methods(language: str, also: str) -> None:
+    told = [
+        Finding("check-mean", "doubtful", method, {"method": method, "numbers": (f"Z +0.18{k} +- 0.030",)})
+        for k, method in enumerate(("integrated", "indirect"))
+    ]
+    _, *lines = verdict_text(judge(told), catalogue(language))
+    assert len(lines) == 1
+    assert also in lines[0]
+
+
 def test_alike_findings_are_one_line_with_their_neighbours() -> None:
     names = [f"DJI_20260314_{k:04d}" for k in (3, 572, 573, 574, 575, 580, 654)]
     given = [image(name, 1.2 + 0.05 * k) for k, name in enumerate(names)]
