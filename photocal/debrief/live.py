@@ -18,9 +18,9 @@ from photocal.debrief.verdict import Debrief, Together
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import Camera
 from photocal.measurement.image_file import list_images
+from photocal.measurement.image_metadata import image_of
 from photocal.measurement.match_images import MatchingPlan
 from photocal.navigation.exposure_run import ExposureRun, exposures_of_pictures
-from photocal.navigation.image_metadata import image_of
 from photocal.navigation.rig import CameraOnBody
 from photocal.project import Project
 from photocal.run.output_place import check_output

@@ -255,7 +255,7 @@ def judge_against_pictures(
     wrong = np.zeros(len(listed), dtype=np.bool_)
     if not known.any():
         return wrong, []
-    ours, theirs = _in_plane(listed[known], stated[known])
+    ours, theirs = in_plane(listed[known], stated[known])
     away = np.linalg.norm(ours - theirs, axis=1)
     own, other = (np.linalg.norm(sigma[known, :2], axis=1) for sigma in (listed_sigma, stated_sigma))
     precise = other > 0
@@ -273,7 +273,7 @@ def judge_against_pictures(
     return wrong, [Finding(code, "grave" if many else "doubtful", figures=figures)]
 
 
-def _in_plane(listed: Floats, stated: Floats) -> tuple[Floats, Floats]:
+def in_plane(listed: Floats, stated: Floats) -> tuple[Floats, Floats]:
     """East and north of both, m: heights may be of several kinds."""
     origin = np.median(listed, axis=0)
     ours, theirs = (
@@ -291,7 +291,7 @@ def judge_order(lines: Sequence[str], listed: Floats, stated: Floats) -> list[Fi
     known = np.flatnonzero(np.isfinite(listed).all(axis=1) & np.isfinite(stated[:, :2]).all(axis=1))
     if not len(known):
         return []
-    ours, theirs = _in_plane(listed[known], stated[known])
+    ours, theirs = in_plane(listed[known], stated[known])
     found = _shifted(ours, theirs)
     if found is None:
         return []

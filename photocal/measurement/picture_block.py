@@ -251,7 +251,7 @@ def measure_project(
     known = KnownPictures(
         project.name,
         paths,
-        better_known(project, [path.name for path in paths]),
+        better_known(project, paths),
         stated_footprints if exposures is None else partial(exposed_footprints, exposures, points),
         lambda _: ControlMarks(project.crs, points, tuple(by_hand)),
         project.height if project.crs != "local" else "",
@@ -449,10 +449,12 @@ def pictures_of_heads(project: Project) -> tuple[dict[str, int], dict[str, str]]
     return dict(zip(names, member.tolist(), strict=True)), dict(zip(names, exposure, strict=True))
 
 
-def better_known(project: Project, names: Sequence[str]) -> Given:
+def better_known(project: Project, pictures: Sequence[Path]) -> Given:
     """What a project's table of positions says in place of the pictures, in the project's frame."""
     path, frame = project.images.positions, project.images.position_frame
-    told = with_lens if path is None else read_positions(path, names)
+    told: Given = with_lens
+    if path is not None:
+        told = read_positions(path, each_picture(pictures, read_facts)[0])
     if frame is None:
         return told
     # Said once for all, and not of each picture.

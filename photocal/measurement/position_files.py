@@ -3,17 +3,20 @@
 Positions of pictures in the frame of their caster, taken to the frame and epoch of the project.
 """
 
+import datetime as dt
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from photocal.base.arrays import Floats
+from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError, InputMalformedError, PhotocalError
 from photocal.base.geodesy import enu_axes, enu_offsets, geocentric, geodetic
-from photocal.base.text_tables import read_under
+from photocal.base.text_tables import folded, read_columns, read_under, refuse
+from photocal.base.time_scales import WEEK_S
 from photocal.exchange.ground_points import read_geo
 from photocal.exchange.reference_table import read_references
 from photocal.exchange.source import read_text
@@ -27,7 +30,9 @@ from photocal.geometry.realizations import (
     known_realization,
     realization,
 )
+from photocal.measurement.event_matching import match_images
 from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.image_metadata import image_of
 from photocal.measurement.listed_positions import (
     ListedPositions,
     judge_listed,
@@ -69,6 +74,21 @@ IMAGE_HEADS = (
     "image", "imagem", "photo", "foto", "picture", "file", "filename", "arquivo", "imagen", "immagine",
     "bild", "cliché", "zdjęcie", "nome da imagem", "nome imagem", "photo name", "bildname",
 )  # fmt: skip
+
+
+# Heads of a table of events; counts of these may stand under heads of points, names of points may not.
+_EVENT_HEADS = {
+    **PLACE_HEADS,
+    **_DEGREES,
+    "time": (
+        "time", "gps time", "gpst", "utc", "utc time", "timestamp", "datetime", "date time", "hora", "tempo",
+        "tow", "sow", "time of week", "gps tow", "gps sow", "seconds of week", "seconds", "zeit", "heure",
+    ),
+    "date": ("date", "data", "fecha", "datum"),
+    "week": ("week", "gps week", "wn", "semana", "semana gps"),
+}  # fmt: skip
+_COUNTS = ("id", "no", "nr", "number", "num", "numero", "index", "event", "count", "seq")
+_POINTS = ("name", "nome", "point", "ponto", "label", "gcp", "station", "target", "marco", "pt", "point id")
 
 
 class UnbelievableListError(InputMalformedError):
@@ -124,17 +144,46 @@ def map_places(facts: Sequence[ImageFacts], crs: str) -> Floats:
     return places
 
 
-def read_positions(path: Path, names: Sequence[str]) -> Given:
-    """Read positions; what is given puts that of a picture in place of its own.
+@dataclass(frozen=True)
+class PlacesOfPictures:
+    """Positions of a table; called with the facts of a picture it puts its own in place of theirs.
 
-    A table names the pictures, with their suffix or without. The events of a `Timestamp.MRK` list go to the
-    pictures whose names carry their numbers, or in their order when there are as many; so do those of RTKLIB
-    (`_events.pos`), which have no numbers.
+    places: by the names of the pictures, as the table has them.
+    by: what tells which is whose: "name", "number", "time", or the "order" alone.
+    rival: how many pictures the best other alignment of times places.
+    left: lines of events without a picture, where times tell.
+    """
+
+    places: Mapping[str, _Place]
+    by: str = "name"
+    rival: int = 0
+    left: tuple[str, ...] = ()
+
+    def __call__(self, facts: ImageFacts) -> ImageFacts:
+        """Facts with the position of the table, where it has one."""
+        return _placed(facts, _of(facts.name, self.places, self._alike))
+
+    @cached_property
+    def _alike(self) -> dict[str, _Place]:
+        return {_called(name): place for name, place in self.places.items()}
+
+    def has(self, name: str) -> bool:
+        """Whether a picture has a position in it."""
+        return _of(name, self.places, self._alike) is not None
+
+
+def read_positions(path: Path, pictures: Sequence[ImageFacts]) -> PlacesOfPictures:
+    """Read positions of pictures.
+
+    A table names the pictures, with their suffix or without. The events of a list (`Timestamp.MRK`, RTKLIB's
+    `_events.pos`, a table of times and places) go to the pictures whose names carry their numbers, or whose
+    times fit; in their order when there are as many and times do not tell.
 
     raises InputNotFoundError, InputMalformedError: also when no picture has a position in it.
     """
-    if path.suffix.lower() in (".mrk", ".pos"):
-        return _given(_of_events(path, names), path, names)
+    if path.suffix.lower() in (".mrk", ".pos") or is_event_table(path):
+        return _of_events(path, pictures)
+    names = [image.name for image in pictures]
     if read_text(path).lstrip().startswith(("#Label", "#CoordinateSystem")):
         crs, rows = read_references(path)
         places = _in_degrees(crs, {row.name: (*row.xyz, *row.sigma) for row in rows}, path)
@@ -153,7 +202,14 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
             values = np.hstack([table.matrix("XYZ"), table.matrix(("sX", "sY", "sZ"), empty=np.nan)])
             listed = dict(zip(table.unique_names("image"), map(tuple, values.tolist()), strict=True))
         places = _in_degrees(crs, listed, path)
-    given = _given(places, path, names)
+    given = PlacesOfPictures(places)
+    if not any(map(given.has, names)):
+        first = next(iter(places), "nothing")
+        raise InputMalformedError(
+            f"has none of the {len(names)} pictures (it has {first}, the first is {min(names, default='')})",
+            "name the pictures as their files",
+            where=path,
+        )
     values = np.array(list(places.values())).reshape(-1, 6)
     lines, none = tuple(f"picture {name}" for name in places), np.full(len(places), -1)
     _require_credible(
@@ -197,19 +253,6 @@ def _require_credible(listed: ListedPositions, path: Path) -> None:
             "correct these lines or remove them; leave the cells of unknown sigmas empty",
             where=path,
         )
-
-
-def _given(places: dict[str, _Place], path: Path, names: Sequence[str]) -> Given:
-    """What puts the places of a table in place of the pictures' own."""
-    alike = {_called(name): place for name, place in places.items()}
-    if not any(_of(name, places, alike) for name in names):
-        first = next(iter(places), "nothing")
-        raise InputMalformedError(
-            f"has none of the {len(names)} pictures (it has {first}, the first is {min(names, default='')})",
-            "name the pictures as their files",
-            where=path,
-        )
-    return lambda facts: _placed(facts, _of(facts.name, places, alike))
 
 
 def in_degrees(path: Path, besides: Collection[str] = ()) -> bool:
@@ -265,41 +308,157 @@ def _apart_m(facts: ImageFacts, latitude: float, longitude: float) -> float:
     return float(np.hypot(there[0, 0], there[0, 1]))
 
 
-def _of_events(path: Path, names: Sequence[str]) -> dict[str, _Place]:
-    text = read_text(path).splitlines()
-    if path.suffix.lower() == ".pos":
-        listed = read_solution_events(text, path)
+def is_event_table(path: Path) -> bool:
+    """Whether a table lists times with longitudes and latitudes, and names neither pictures nor points."""
+    # Nobody surveys points that are numbered as fast as a camera takes pictures, s.
+    slowest_s = 30.0
+    try:
+        heads = read_under(path, {"image": IMAGE_HEADS, "point": _COUNTS, **_EVENT_HEADS}, ())
+        if not all(map(heads.has, ("time", *"XYZ"))) or heads.has("image") or not in_degrees(path):
+            return False
+        if any(folded(head) in _POINTS for head in read_columns(path).columns.column_names):
+            return False
+        listed = _event_table(path)
+    except PhotocalError:
+        return False
+    return not heads.has("point") or float(np.median(np.diff(listed.time_s))) < slowest_s
+
+
+def _event_table(path: Path) -> ListedPositions:
+    """Read a table of times and places."""
+    table = read_under(path, _EVENT_HEADS, ("time", *"XYZ"))
+    dates = table.texts("date") if table.has("date") else ("",) * len(table)
+    time_s = np.array([_moment(*told) for told in zip(dates, table.texts("time"), strict=True)])
+    refuse(table, np.isnan(time_s), "the time cannot be read", "write it as 2026-05-14 12:30:05.250")
+    if table.has("week"):
+        # Times of week are told in milliseconds, too.
+        time_s = time_s / (1e3 if time_s.max() > WEEK_S else 1.0) + table.numbers("week") * WEEK_S
+    values = np.hstack([table.matrix("YXZ"), table.matrix(("sX", "sY", "sZ"), empty=np.nan)])
+    lines = tuple(table.place(row).rpartition(", ")[2] for row in range(len(table)))
+    return ListedPositions(lines, time_s, values[:, :3], values[:, 3:], np.full(len(lines), -1))
+
+
+def _moment(date: str, time: str) -> float:
+    """Seconds of a number, or of a date and time; NaN where they cannot be read."""
+    try:
+        value = float(time)
+    except ValueError:
+        stamp = f"{date} {time}".strip().replace("/", "-").removesuffix("Z").removesuffix(" UTC")
+        stamp = re.sub(
+            r"^(\d\d)-(\d\d)-(\d{4})", r"\3-\2-\1", stamp if "-" in stamp else f"1970-01-01 {stamp}"
+        )
+        try:
+            return dt.datetime.fromisoformat(stamp).replace(tzinfo=dt.UTC).timestamp()
+        except ValueError:
+            return np.nan
+    # Computers count in milliseconds, microseconds and nanoseconds, too.
+    while value > 1e11:
+        value /= 1e3
+    return value
+
+
+def _listed(path: Path) -> ListedPositions:
+    """The events of a list of any kind that can be believed."""
+    if path.suffix.lower() == ".mrk":
+        listed = listed_events(*read_event_lines(read_text(path).splitlines(), path))
+    elif path.suffix.lower() == ".pos":
+        listed = read_solution_events(read_text(path).splitlines(), path)
     else:
-        listed = listed_events(*read_event_lines(text, path))
-    lines = listed.lines
-    if not lines:
+        listed = _event_table(path)
+    if not listed.lines:
         raise InputMalformedError(
             "has no events", "is it a Timestamp.MRK or an _events.pos file?", where=path
         )
     _require_credible(listed, path)
+    return listed
+
+
+def _of_events(path: Path, pictures: Sequence[ImageFacts]) -> PlacesOfPictures:
+    listed = _listed(path)
+    lines, number = listed.lines, listed.number.tolist()
     places = [tuple(row) for row in np.hstack([listed.place[:, [1, 0, 2]], listed.sigma_m]).tolist()]
-    numbers = dict(zip(listed.number.tolist(), places, strict=True))
+    row_of = dict(zip(number[::-1], range(len(lines))[::-1], strict=True))
     # Cameras count with numbers of four digits.
-    counts = {name: map(int, re.findall(r"(?<!\d)\d{4}(?!\d)", Path(name).stem)) for name in names}
-    by_name = {name: numbers[k] for name in names for k in counts[name] if k in numbers}
-    first = dict(zip(listed.number.tolist()[::-1], range(len(lines))[::-1], strict=True))
-    again = [k for k, number in enumerate(listed.number.tolist()) if places[first[number]] != places[k]]
-    if by_name and again:
-        number, before = int(listed.number[again[0]]), lines[first[int(listed.number[again[0]])]]
+    counts = {one.name: map(int, re.findall(r"(?<!\d)\d{4}(?!\d)", Path(one.name).stem)) for one in pictures}
+    by_number = {name: row_of[k] for name, of_name in counts.items() for k in of_name if k in row_of}
+    again = [k for k, count in enumerate(number) if places[row_of[count]] != places[k]]
+    if by_number and again:
+        count, before = number[again[0]], lines[row_of[number[again[0]]]]
         raise InputMalformedError(
-            f"has another position for event {number} than {before}: two flights in one list?",
+            f"has another position for event {count} than {before}: two flights in one list?",
             "give each flight its own list",
             where=f"{path}, {lines[again[0]]}",
         )
-    if by_name:
-        return by_name
-    if len(names) != len(places):
+    own = np.flatnonzero(judge_listed(listed).kept)
+    reason, by_time, rival = "", dict[str, int](), 0
+    try:
+        images = [image_of(Path(one.name), one) for one in pictures]
+        named, cameras = match_images(images, listed.time_s[own], listed.place[own], np.inf)
+    except PhotocalError as refusal:
+        reason = refusal.what
+    else:
+        by_time = {name: row for row, some in zip(own.tolist(), named, strict=True) for name in some}
+        rival = sum(camera.rival for camera in cameras)
+    if by_number:
+        _require_times(by_number, by_time, lines, path)
+        return PlacesOfPictures({name: places[row] for name, row in by_number.items()}, "number")
+    if by_time:
+        left = tuple(lines[row] for row in own.tolist() if row not in by_time.values())
+        return PlacesOfPictures({name: places[row] for name, row in by_time.items()}, "time", rival, left)
+    return PlacesOfPictures(_in_order(places, own, listed, pictures, reason, path), "order")
+
+
+def _require_times(
+    by_number: Mapping[str, int], by_time: Mapping[str, int], lines: Sequence[str], path: Path
+) -> None:
+    """Refuse numbers that belong to other pictures by their times: a list that was counted anew."""
+    # One picture may have a wrong time.
+    fewest = 2
+    picture_of = {row: name for name, row in by_time.items()}
+    apart = sorted(name for name, row in by_number.items() if picture_of.get(row, name) != name)
+    if len(apart) >= fewest:
+        row = by_number[apart[0]]
         raise InputMalformedError(
-            f"lists {len(places)} events for {len(names)} pictures, whose names have no number of an event",
+            f"has the number of {apart[0]} with the time of {picture_of[row]}, and so it is with "
+            f"{len(apart)} of {len(by_number)} pictures: lines were lost or added, and the list was counted "
+            "anew",
+            "use the event list as the vehicle wrote it",
+            where=f"{path}, {lines[row]}",
+        )
+
+
+def _in_order(
+    places: Sequence[_Place],
+    own: Integers,
+    listed: ListedPositions,
+    pictures: Sequence[ImageFacts],
+    reason: str,
+    path: Path,
+) -> dict[str, _Place]:
+    """Places in the order of pictures whose times do not tell, where their number does."""
+    stamps = [image.time_s for image in (image_of(Path(one.name), one) for one in pictures)]
+    timed = np.array([np.nan if stamp is None else stamp for stamp in stamps])
+    if len(own) != len(pictures):
+        why = reason if np.isfinite(timed).all() else "whose names have no number of an event"
+        raise InputMalformedError(
+            f"lists {len(own)} events for {len(pictures)} pictures, {why}",
             "leave in both what belongs together: in their order each picture gets an event",
             where=path,
         )
-    return dict(zip(sorted(names), places, strict=True))
+    names = [image.name for image in pictures]
+    order = sorted(range(len(names)), key=lambda k: (np.nan_to_num(timed[k]), names[k]))
+    apart = listed.time_s[own] - timed[order]
+    # Whole seconds, and how much clocks scatter beside them.
+    most_s = 2.0
+    spread = float(np.ptp(apart))
+    if spread > most_s:
+        raise InputMalformedError(
+            f"lists as many events as there are pictures, but in their order their times differ by up to "
+            f"{spread:.1f} s: {reason}",
+            "leave in both what belongs together: in their order each picture gets an event",
+            where=path,
+        )
+    return {names[k]: places[row] for k, row in zip(order, own.tolist(), strict=True)}
 
 
 def _in_degrees(crs: str, listed: Mapping[str, tuple[float, ...]], path: Path) -> dict[str, _Place]:

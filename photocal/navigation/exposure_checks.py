@@ -7,6 +7,8 @@ import numpy as np
 from photocal.base.errors import IllPosedError
 from photocal.base.geodesy import enu_offsets
 from photocal.findings.finding import Finding, untested
+from photocal.measurement.event_matching import Matching
+from photocal.measurement.image_metadata import ImageMetadata, stated_places
 from photocal.measurement.listed_positions import (
     ListedPositions,
     judge_against_pictures,
@@ -15,8 +17,7 @@ from photocal.measurement.listed_positions import (
     judge_order,
 )
 from photocal.navigation.events import CameraEventList, Events
-from photocal.navigation.exposures import Exposures, Matching
-from photocal.navigation.image_metadata import ImageMetadata, stated_places
+from photocal.navigation.exposures import Exposures
 from photocal.navigation.position_comparison import compare_positions, judge_positions
 from photocal.navigation.ppk_figures import PpkFigures
 from photocal.navigation.receiver_recording import ReceiverRecording

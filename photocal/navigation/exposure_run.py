@@ -15,6 +15,8 @@ from photocal.base.errors import ConfigurationError
 from photocal.findings.digits import Number
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json
+from photocal.measurement.event_matching import Matching, match_images
+from photocal.measurement.image_metadata import ImageMetadata, clock_time_s, read_images
 from photocal.navigation.common_errors import common_text
 from photocal.navigation.device_clocks import ComparedClocks, clock_sentences, device_by_arrival
 from photocal.navigation.engine import Rtklib
@@ -29,10 +31,9 @@ from photocal.navigation.exposure_sources import (
     events_of_images,
     placed_by,
 )
-from photocal.navigation.exposures import Exposures, Matching, at_camera, at_events, match_images
+from photocal.navigation.exposures import Exposures, at_camera, at_events
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.image_checks import TieMatching, check_images, check_oriented, oriented_images
-from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, read_images
 from photocal.navigation.ppk_figures import PpkFigures
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.ppk_report import solved
@@ -127,6 +128,7 @@ def _camera(m: Matching, events: Events) -> dict[str, Any]:
         "unmatched_images": [m.names[i] for i in m.unmatched_images.tolist()],
         "ambiguous_images": [m.names[i] for i in m.ambiguous_images.tolist()],
         "unmatched_events": events.number[m.unmatched_events],
+        "matched_by_next_best": m.rival,
         **picked(m, clock_offset_s="offset_s", clock_offset_sigma_s="offset_sigma_s", residual_s="scatter_s"),
         "clock_drift_ppm": m.drift * 1e6,
         "clock_drift_sigma_ppm": m.drift_sigma * 1e6,
@@ -293,7 +295,9 @@ def place_exposures(
     names: list[tuple[str, ...]] = [()] * len(events)
     cameras: list[Matching] = []
     if images:
-        names, cameras = match_images(images, events, choices.largest_offset_s)
+        placed, _ = placed_by(events, trajectory, listed, vehicle)
+        utc_s = events.time.to_utc().ns / 1e9
+        names, cameras = match_images(images, utc_s, placed.place, choices.largest_offset_s)
     by_name = {image.name: image for image in images}
     shown = [by_name.get(some[0]) if some else None for some in names]
     camera, of_images, stated = attitudes_of_images(shown, rig)

@@ -7,6 +7,7 @@ import numpy as np
 
 from photocal.base.arrays import Flags
 from photocal.base.errors import ConfigurationError
+from photocal.measurement.image_metadata import ImageMetadata, clock_time_s, stated_places
 from photocal.navigation.attitude import LINE_OF_SIGHT, AttitudeSeries, at_instants, from_angles, no_attitudes
 from photocal.navigation.events import (
     CameraEventList,
@@ -15,7 +16,6 @@ from photocal.navigation.events import (
     logged_exposures,
     time_marks,
 )
-from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, stated_places
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import CameraOnBody

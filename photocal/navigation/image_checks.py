@@ -15,10 +15,10 @@ from photocal.base.text_tables import read_wider_table
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.localisation import similarity
 from photocal.geometry.oriented_images import OrientedImages
+from photocal.measurement.image_metadata import ImageMetadata
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.picture_block import measure_images
 from photocal.navigation.exposures import Exposures, orientations
-from photocal.navigation.image_metadata import ImageMetadata
 from photocal.navigation.position_comparison import judge_positions
 from photocal.navigation.rig import CameraOnBody
 from photocal.results.folder import RESULT, read_result

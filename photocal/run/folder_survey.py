@@ -32,7 +32,13 @@ from photocal.measurement.marks import (
     read_typed_list,
 )
 from photocal.measurement.place_tables import read_places, unit_of_head
-from photocal.measurement.position_files import PLACE_HEADS, UnbelievableListError, in_degrees, read_positions
+from photocal.measurement.position_files import (
+    PLACE_HEADS,
+    UnbelievableListError,
+    in_degrees,
+    is_event_table,
+    read_positions,
+)
 
 # Sigma of control points whose file has none, horizontal and vertical, m: a network RTK of short occupation.
 ASSUMED_M = (0.02, 0.03)
@@ -121,7 +127,7 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
             seen.raw_logs.append(path)
         elif kind == ".cam":
             _with_cameras(path, sizes, seen)
-        elif kind == ".mrk" or path.name.lower().endswith("_events.pos"):
+        elif _lists_events(path):
             seen.events.append(path)
         elif kind in _TABLES and (placed := _placed(path, seen.pictures, seen.unread)) is not None:
             # What cannot be right is named, and gives no picture a place.
@@ -136,6 +142,12 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
     sheets = [path for path in files if path.suffix.lower() in _NO_TEXTS and not seen.control]
     seen.unread += [say("new.no_text", place=path) for path in sheets]
     return seen
+
+
+def _lists_events(path: Path) -> bool:
+    """Whether a file lists events of a camera, without the names of pictures."""
+    name = path.name.lower()
+    return name.endswith((".mrk", "_events.pos")) or (name.endswith(_TABLES) and is_event_table(path))
 
 
 def _sizes(pictures: dict[Path, tuple[ImageFacts, ...]]) -> Sizes:
@@ -194,9 +206,9 @@ def _placed(
     path: Path, pictures: dict[Path, tuple[ImageFacts, ...]], unread: list[str]
 ) -> dict[Path, tuple[ImageFacts, ...]] | None:
     """Pictures at the positions of a table that names them; None for another table."""
-    names = [image.name for facts in pictures.values() for image in facts]
+    every = [image for facts in pictures.values() for image in facts]
     try:
-        given = read_positions(path, names)
+        given = read_positions(path, every)
     except UnbelievableListError as refusal:
         unread.append(str(refusal))
         return pictures

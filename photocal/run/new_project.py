@@ -20,14 +20,14 @@ from photocal.findings.texts import Catalogue, catalogue, finding_text, plain
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.measurement.control_review import listed as some_names
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
+from photocal.measurement.image_metadata import stated_places
 from photocal.measurement.listed_positions import judge_order
 from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
 from photocal.measurement.mark_frames import AS_STORED, MarkFrame, parse_frame
 from photocal.measurement.marks import ControlMarks, named_after, pointed_after
 from photocal.measurement.picture_tests import judge_cameras, judge_pictures, told_beside
-from photocal.measurement.position_files import read_positions
+from photocal.measurement.position_files import PlacesOfPictures, read_positions
 from photocal.navigation.flight_log import FlightLog
-from photocal.navigation.image_metadata import stated_places
 from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
 from photocal.run.camera_card import ChosenPictures, chosen_pictures
@@ -350,10 +350,11 @@ class _Text:
         placing: Sequence[ImageFacts] = self.facts
         for path in self.seen.events:
             try:
-                listed = list(map(read_positions(path, names), self.facts))
+                given = read_positions(path, self.facts)
             except PhotocalError as refusal:
                 missing.append(say("new.not_used", text=say.refused(str(refusal))))
                 continue
+            listed = list(map(given, self.facts))
             places = stated_places([image if image.altitude_kind == "table" else None for image in listed])
             apart = judge_order(names, places, stated_places(self.facts))
             apart += [found for found in judge_pictures(listed) if found.code == "table-beside-pictures"]
@@ -365,10 +366,22 @@ class _Text:
             usable.append(path)
             placing = listed if len(usable) == 1 else self.facts
             missing += told
+            missing += self._how_given(path, given)
             if own := [image.name for image in listed if image.altitude_kind != "table"]:
                 counted = {"n": len(listed) - len(own), "all": len(listed), "names": some_names(own, say)}
                 missing.append(say("new.positions_own", file=self._beside(path), **counted))
         return usable, placing
+
+    def _how_given(self, path: Path, given: PlacesOfPictures) -> Iterator[str]:
+        """Say how the events of a list came to their pictures, where no name or number tells."""
+        file, say = self._beside(path), self.say
+        if given.by == "order":
+            yield say("new.events_in_order", file=file)
+        if given.by == "time":
+            counted = {"n": len(given.places), "all": len(self.facts), "rival": given.rival}
+            yield say("new.events_by_time", file=file, **counted)
+        if given.left:
+            yield say("new.events_left", file=file, n=len(given.left), lines=some_names(given.left, say))
 
     def _cameras(self) -> Iterator[str]:
         known = {stated.size_px: stated for stated in (self.given.cameras if self.given is not None else ())}

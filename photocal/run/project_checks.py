@@ -182,7 +182,7 @@ def facts_of_pictures(project: Project, most: int | None = _PICTURES) -> list[Im
         return []
     facts = []
     paths = list_images(images.folder)
-    known = better_known(project, [path.name for path in paths])
+    known = better_known(project, paths)
     for path in paths[:most]:
         try:
             facts.append(known(read_facts(path)))

@@ -45,7 +45,7 @@ from photocal.exchange.formats import FORMATS, read_foreign_block, read_foreign_
 from photocal.exchange.ground_points import read_gcp_list, read_geo
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.opensfm import read_reconstruction
-from photocal.measurement.image_facts import read_facts
+from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import read_grey
 from photocal.measurement.position_files import read_positions
 from photocal.navigation.engine import read_solution
@@ -251,7 +251,9 @@ def _flight(folder: Path) -> Iterator[Reader]:
         "2026/05/18 10:18:0{}.234  47.643687320  16.475927168  512.9980  1 11  0.0130  0.0140  0.0290 0 0 0\n"
     )
     events.write_text("".join(map(row.format, range(1, 9))))
-    yield Reader("tables", events, lambda p: read_positions(p, [f"a{k}.jpg" for k in range(8)]))
+    yield Reader(
+        "tables", events, lambda p: read_positions(p, [ImageFacts(f"a{k}.jpg", (64, 48)) for k in range(8)])
+    )
     rinex = ROOT.parent / "shared" / "data" / "gnss-rinex-static-known" / "rover.obs"
     if rinex.is_file():
         short = folder / "short.obs"

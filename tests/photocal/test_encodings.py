@@ -21,7 +21,7 @@ from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.text_tables import read_columns
 from photocal.block.folder import read_block
 from photocal.measurement.image_file import list_images
-from photocal.navigation.image_metadata import read_images
+from photocal.measurement.image_metadata import read_images
 from photocal.project import read_project
 from photocal.run.calibrations import is_camera_file
 from photocal.run.new_project import new_project

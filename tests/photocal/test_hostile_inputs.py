@@ -24,9 +24,9 @@ from photocal.exchange.opencv import read_opencv
 from photocal.exchange.opensfm import read_cameras
 from photocal.exchange.reference_table import read_references
 from photocal.measurement.image_file import opened
+from photocal.measurement.image_metadata import read_images
 from photocal.measurement.marking.tiles import Tiles
 from photocal.measurement.marks import read_any_marks, read_control_marks
-from photocal.navigation.image_metadata import read_images
 from photocal.planning.area import read_area
 from photocal.project import read_project
 from photocal.report.issue import read_record

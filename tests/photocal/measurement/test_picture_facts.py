@@ -13,9 +13,9 @@ from PIL import Image
 
 from photocal.findings.texts import catalogue
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, facts_of_tags, read_facts
+from photocal.measurement.image_metadata import image_of
 from photocal.measurement.picture_facts import FACTS, LONGEST, read_xmp
 from photocal.measurement.picture_tests import judge_pictures, told_beside, told_conditions
-from photocal.navigation.image_metadata import image_of
 
 # As a Matrice 4E writes it (tests of wakeup1230-droid/uav-photo-optimizer), and what its manual adds.
 M4E = """<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF><rdf:Description rdf:about="DJI Meta Data"

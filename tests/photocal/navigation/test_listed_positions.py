@@ -218,11 +218,11 @@ def test_tables_of_positions_are_judged_too(tmp_path: Path) -> None:
             f"image,latitude,longitude,height,sx,sy,sz\na.jpg,47.6,16.4,500,0.02,0.02,0.03\n{row}\n"
         )
         with pytest.raises(InputMalformedError, match=rf"{wrong}.*picture b.jpg"):
-            read_positions(path, ["a.jpg", "b.jpg"])
+            read_positions(path, [ImageFacts(n, (64, 48)) for n in ("a.jpg", "b.jpg")])
     mrk = tmp_path / "x.MRK"
     mrk.write_text("\n".join(FAULTS["5 km within 2 s"][0](lines())))
     with pytest.raises(InputMalformedError, match=r"80 m/s allow \(line 6\)"):
-        read_positions(mrk, [f"DJI_{k:04}.JPG" for k in range(1, 13)])
+        read_positions(mrk, [ImageFacts(f"DJI_{k:04}.JPG", (64, 48)) for k in range(1, 13)])
 
 
 def renumbered(rows: Sequence[str]) -> list[str]:
@@ -288,8 +288,14 @@ def between(one: str, other: str) -> str:
 @pytest.mark.parametrize(
     ("kept", "said"),
     [
-        ([*lines()[:5], *lines()[6:]], "From DJI_0006.JPG on, 6 of 11 positions of the list belong to other"),
-        ([*lines()[:5], between(*lines()[4:6]), *lines()[5:]], "From DJI_0006.JPG on, 7 of 12"),
+        (
+            [*lines()[:5], *lines()[6:]],
+            "line 6: has the number of DJI_0006.JPG with the time of DJI_0007.JPG, and so it is with 6 of 11",
+        ),
+        (
+            [*lines()[:5], between(*lines()[4:6]), *lines()[5:]],
+            "line 7: has the number of DJI_0007.JPG with the time of DJI_0006.JPG, and so it is with 6 of 12",
+        ),
     ],
     ids=["a line is missing", "a picture was deleted"],
 )
@@ -350,7 +356,7 @@ def test_a_lost_line_is_found_and_a_whole_list_says_nothing() -> None:
 def test_a_table_of_another_flight_is_named(tmp_path: Path) -> None:
     path = tmp_path / "positions.csv"
     path.write_text("image,latitude,longitude,height\na.jpg,47.6005,16.4,500\nb.jpg,47.6,16.4,500\n")
-    place = read_positions(path, ["a.jpg", "b.jpg"])
+    place = read_positions(path, [ImageFacts(n, (64, 48)) for n in ("a.jpg", "b.jpg")])
     own = [
         ImageFacts(n, (64, 48), latitude_deg=47.6, longitude_deg=16.4, altitude_m=500.0)
         for n in ("a.jpg", "b.jpg")

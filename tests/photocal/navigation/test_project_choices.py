@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import InputMalformedError
+from photocal.measurement.image_metadata import read_images
 from photocal.navigation.exposure_run import choices_of_project
-from photocal.navigation.image_metadata import read_images
 from photocal.project import AirAtBase, read_project
 
 PROJECT = """

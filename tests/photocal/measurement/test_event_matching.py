@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from photocal.base.errors import IllPosedError
-from photocal.navigation.exposures import UnrelatedImagesError, match
+from photocal.measurement.event_matching import Places, UnrelatedImagesError, match
 
 Floats = NDArray[np.float64]
 JITTER_S = 0.0005
@@ -134,3 +134,108 @@ def test_nothing_in_common() -> None:
         match(few, few**2 + 1e4, resolution_s=0.01)
     with pytest.raises(IllPosedError, match="at least 4"):
         match(few[:2], few, resolution_s=0.01)
+
+
+LATITUDE, LONGITUDE, METRES_OF_DEGREE = 47.6, 16.4, 111_200.0
+LOSSES = ("none", "beginning", "middle", "end", "here and there")
+
+
+def degrees(place: Floats) -> Floats:
+    """Latitude, longitude and height of north and east, m."""
+    scale = METRES_OF_DEGREE * np.array([1.0, np.cos(np.radians(LATITUDE))])
+    return np.column_stack([place / scale + (LATITUDE, LONGITUDE), np.full(len(place), 500.0)])
+
+
+def strips(rng: np.random.Generator, *, timer: bool) -> tuple[Floats, Floats, Floats]:
+    """Times, places (north, east) and velocities of shots at equal intervals in strips there and back.
+
+    timer: whether the camera keeps its beat over the turns.
+    """
+    count, each = int(rng.integers(1, 9)), int(rng.integers(6, 40))
+    interval, speed = float(rng.choice([1.5, 2.0, 2.5, 3.0, 4.0])), rng.uniform(5, 15)
+    way = np.where(np.arange(count) % 2, -1.0, 1.0)
+    turn = interval * rng.integers(1, 6, count) if timer else rng.uniform(5, 25, count)
+    begin = np.concatenate([[0.0], np.cumsum(each * interval + turn)[:-1]])
+    along = interval * np.arange(each)
+    time = (begin[:, None] + along).ravel() + rng.normal(0, 0.02, count * each)
+    north = (np.where(way > 0, 0.0, each * interval)[:, None] + way[:, None] * along) * speed
+    place = np.column_stack([north.ravel(), np.repeat(40.0 * np.arange(count), each)])
+    return time, place, np.column_stack([np.repeat(way * speed, each), np.zeros(count * each)])
+
+
+def kept(rng: np.random.Generator, count: int, loss: str) -> NDArray[np.int64]:
+    """Which of so many are left."""
+    some = int(rng.integers(1, 4))
+    first = int(rng.integers(1, count - 4))
+    lost = {
+        "none": [],
+        "beginning": range(some),
+        "middle": range(first, first + some),
+        "end": range(count - some, count),
+        "here and there": rng.choice(count, max(1, count // 30), replace=False),
+    }[loss]
+    return np.setdiff1d(np.arange(count), list(lost))
+
+
+@pytest.mark.parametrize("timer", [False, True], ids=["by distance", "by a timer"])
+@pytest.mark.parametrize("step_s", [0.01, 1.0], ids=["hundredths", "whole seconds"])
+@pytest.mark.parametrize("positions", ["none", "of code", "fixed"])
+def test_lists_with_other_lines_than_pictures(timer: bool, step_s: float, positions: str) -> None:
+    """Lines and pictures are lost, a test shot is added, no clock is known: no pair is wrong."""
+    rng = np.random.default_rng(3)
+    flights, refused, right, possible = 100, 0, 0, 0
+    for _ in range(flights):
+        time, place, velocity = strips(rng, timer=timer)
+        noted, taken = (kept(rng, len(time), str(rng.choice(LOSSES))) for _ in range(2))
+        event, where = time[noted], place[noted]
+        if rng.random() < 0.3:
+            event, where = np.append(event, time[0] - rng.uniform(10, 60)), np.vstack([where, place[0]])
+            noted = np.append(noted, -1)
+        clock = time[taken] - rng.uniform(-30_000, 30_000)
+        told = place[taken] + rng.normal(0, 0.02, (len(taken), 2))
+        if positions == "of code":
+            drift = np.cumsum(rng.normal(0, 0.2, told.shape), axis=0)
+            told += rng.normal(0, 1.5, 2) + drift - rng.uniform(0.1, 0.9) * velocity[taken]
+        late_s = (-0.25, 0.25) if positions == "fixed" else (-0.5, 1.0)
+        places = None if positions == "none" else Places(degrees(told), degrees(where), late_s)
+        stamp = np.floor(clock / step_s) * step_s
+        try:
+            found = match(
+                np.asarray(stamp), event, resolution_s=step_s, largest_offset_s=np.inf, places=places
+            )
+        except IllPosedError:
+            refused += 1
+            continue
+        assert (taken[found.image] == noted[found.event]).all()
+        right += len(found.image)
+        possible += len(np.intersect1d(noted, taken))
+    assert right > 0.95 * possible
+    # Single strips at equal intervals, of which something is lost, are left to their positions.
+    assert refused < (0.3 if positions == "none" else 0.05) * flights
+
+
+def test_equal_intervals_are_decided_by_positions() -> None:
+    """One strip, of which the first line is lost: positions that are half an interval late leave it open."""
+    time: Floats = np.asarray(2.0 * np.arange(40), np.float64)
+    place = np.column_stack([10.0 * time, 0.0 * time])
+    lost = 1
+    for late_s, decided in ((0.0, True), (0.8, True), (1.2, False)):
+        told = place - np.array([10.0 * late_s, 0.0])
+        places = Places(degrees(told), degrees(place[lost:]), (-0.5, 1.0))
+        if decided:
+            found = match(time - 5.0, time[lost:], resolution_s=1.0, places=places)
+            assert (found.image == found.event + lost).all()
+            assert found.unmatched_images.tolist() == [0]
+        else:
+            with pytest.raises(IllPosedError, match=r"pairs 39 of 40 images, one of .* pairs 3\d"):
+                match(time - 5.0, time[lost:], resolution_s=1.0, places=places)
+    with pytest.raises(IllPosedError, match="pairs 39 of 40 images"):
+        match(time - 5.0, time[lost:], resolution_s=1.0)
+
+
+def test_other_flights_do_not_fit() -> None:
+    rng = np.random.default_rng(4)
+    for k in range(100):
+        one, other = (strips(rng, timer=bool(k % 2))[0] for _ in range(2))
+        with pytest.raises(IllPosedError):
+            match(np.floor(one), other, resolution_s=1.0, largest_offset_s=np.inf)
