@@ -166,7 +166,7 @@ def identify(source: RecordedBytes, dialect: Dialect) -> RecordingFormat:
         raise InputMalformedError(
             f"has no complete MAVLink record, no {', '.join(names)} or {last} frame, no DataFlash, ULog or "
             "MRK record",
-            "import a .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg or .mrk recording",
+            "import a .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg or .mrk recording; give RINEX to photocal ppk",
             where=source.path,
         )
     return best

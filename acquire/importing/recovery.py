@@ -77,7 +77,8 @@ def recover(path: Path, output: Path) -> dict[str, Any]:
             chunks += 1
         messages += sum(link.write(writer, name) for name, link in links.items() if link.pieces)
         _copy_notes(reader, writer, tables, files)
-        if not chunks and not tables and not files:
+        whole = reader.complete and not damage
+        if not whole and not messages and not files:
             raise InputMalformedError(
                 "has no intact chunk, there is nothing to save", "use another copy", where=path
             )

@@ -298,9 +298,10 @@ def _far_apart(x: Floats, y: Floats, reach: float, largest: float) -> IllPosedEr
     except IllPosedError:
         hits = 0
     if 2 * hits > len(x):
+        allowed = f"{abs(offset) + 1:.0f}"
         return IllPosedError(
             f"{cause}, but {hits} of {len(x)} images fit if their clock is {-offset:+.0f} s off",
-            f"if it was, write clock_offset_s = {abs(offset) + 1:.0f} under [flight], or correct their times",
+            f"if it was, give --clock-offset {allowed}, or write clock_offset_s = {allowed} under [flight]",
         )
     return UnrelatedImagesError(
         f"{cause}, and no other clock offset makes them fit: images of another flight",

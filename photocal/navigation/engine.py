@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.base.arrays import Floats, Integers, nearest
-from photocal.base.errors import IllPosedError, InputMalformedError, ProgramMissingError
+from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError, ProgramMissingError
 from photocal.navigation.time import WEEK_NS, GpsTime, exact_ns
 from photocal.navigation.trajectory import Geodetic, Trajectory
 
@@ -328,6 +328,16 @@ class ProcessingOptions:
     antex: Path | None = None
     rover_antenna: str = ""
     base_antenna: str = ""
+
+    def __post_init__(self) -> None:
+        # The highest tripods and poles, m; what is higher is a length in another unit.
+        highest_m = 10.0
+        for role, height in (("rover", self.rover_antenna_m), ("base", self.base_antenna_m)):
+            if height is not None and not abs(height) <= highest_m:
+                raise ConfigurationError(
+                    f"the antenna of the {role} is {height:g} m above its mark, more than {highest_m:g} m",
+                    "give the height in metres; for a higher mast give the position of the antenna",
+                )
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Post-processed kinematic positioning: from base and rover to a judged trajectory."""
 
+import filecmp
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -231,6 +232,12 @@ def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:
     """Refuse observations that do not overlap or hardly so."""
     # Fewer common epochs solve nothing: the files belong to two flights.
     least_epochs = 10
+    if rover.path.exists() and filecmp.cmp(rover.path, base.path):
+        raise ConfigurationError(
+            "rover and base have the same observations",
+            "take the base's recording of the flight",
+            where=rover.path,
+        )
     first, last = int(base.time.ns[0]) - _BASE_AGE_NS, int(base.time.ns[-1]) + _BASE_AGE_NS
     common = int(((rover.time.ns >= first) & (rover.time.ns <= last)).sum())
     spans = "; ".join(

@@ -104,7 +104,7 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
     given = sources.base_position
     sigma, frame = None, None
     if given is None or "," in given:
-        position, source = _base_position(sources, base_recording)
+        position, source = _base_position(sources, base_recording, receivers.get(sources.rover_link))
         if given is None and base_recording is not None:
             sigma = base_recording.position_sigma_m()
     else:
@@ -160,10 +160,19 @@ def converted(
     return made
 
 
-def _base_position(sources: Sources, recording: ReceiverRecording | None) -> tuple[Floats, str]:
+def _base_position(
+    sources: Sources, recording: ReceiverRecording | None, other: ReceiverRecording | None
+) -> tuple[Floats, str]:
+    """Position of the base, and who states it; other: what the rover's link recorded."""
     if sources.base_position is not None:
         return parse_position(sources.base_position), "--base-position"
     position = None if recording is None else recording.position_m()
+    if position is None and sources.rover is None and other is not None and other.position_m() is not None:
+        raise ConfigurationError(
+            f"the base's position is not known, but the rover's link {other.link} states one, as a base does",
+            f"if they are exchanged, give --rover-link {sources.base_link} --base-link {sources.rover_link}; "
+            "else give --base-position LAT,LON,H (ellipsoidal height)",
+        )
     if position is None:
         raise ConfigurationError(
             "the base's position is not known: neither RTCM 1005/1006 nor a survey-in states it",

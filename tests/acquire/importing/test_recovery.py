@@ -78,7 +78,7 @@ def test_a_log_cut_at_every_byte_keeps_every_whole_chunk(tmp_path: Path) -> None
         assert result["chunks"] == kept
         assert payloads(fixed) == whole[: 2 * kept]
         assert (result["had_its_end"] and not result["damaged"]) == (end >= len(data) - 8)
-    assert 0 < refused < ends[0]
+    assert refused == ends[0]
 
 
 def test_a_damaged_chunk_costs_only_itself(tmp_path: Path) -> None:
@@ -135,3 +135,13 @@ def test_what_holds_nothing_is_refused(content: bytes, acquire: Acquire, tmp_pat
     assert [p.name for p in tmp_path.iterdir()] == ["log.mcap"]
     done = acquire("recover", log, "-o", log)
     assert done.returncode == 5
+
+
+def test_notes_alone_are_nothing_to_save(acquire: Acquire, tmp_path: Path) -> None:
+    """A log that was cut within its first chunk, behind what its head says of the site."""
+    log = tmp_path / "log.mcap"
+    log.write_bytes(small_log()[: chunk_ends(small_log())[0] - 1])
+    done = acquire("recover", log, "-o", tmp_path / "fixed.mcap")
+    assert done.returncode == 4
+    assert "has no intact chunk" in done.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["log.mcap"]

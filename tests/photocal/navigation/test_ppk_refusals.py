@@ -125,3 +125,40 @@ def test_missing_engine(
     answer = photocal("ppk", static_run.log, "-o", tmp_path / "out")
     assert answer.code == 9
     assert "install RTKLIB" in answer.err
+
+
+def of_two_receivers(shared: Path, *names: str) -> list[object]:
+    """Options that name rover and base of a static pair, their ephemerides and the base's position."""
+    folder = shared / "data/gnss-rinex-static-known"
+    rover, base = (folder / name for name in names)
+    place = "35.134707705,136.977577939,104.853"
+    return ["--rover", rover, "--base", base, "--nav", folder / "base.nav", "--base-position", place]
+
+
+@pytest.mark.parametrize("height", ["1543", "154.3", "15.43", "nan"])
+def test_an_antenna_height_in_another_unit(
+    photocal: Photocal, shared: Path, tmp_path: Path, height: str
+) -> None:
+    """1.543 m in millimetres and centimetres, and with a decimal point that slipped."""
+    needs_engine()
+    given = of_two_receivers(shared, "rover.obs", "base.obs")
+    answer = photocal("ppk", *given, "--base-antenna-height", height, "-o", tmp_path / "out")
+    assert answer.code == 5
+    assert f"the antenna of the base is {height} m above its mark" in answer.err
+
+
+def test_one_file_for_both_receivers(photocal: Photocal, shared: Path, tmp_path: Path) -> None:
+    needs_engine()
+    answer = photocal("ppk", *of_two_receivers(shared, "base.obs", "base.obs"), "-o", tmp_path / "out")
+    assert answer.code == 5
+    assert "rover and base have the same observations" in answer.err
+
+
+def test_base_and_rover_exchanged(
+    photocal: Photocal, m8p: Path, base_file: Path, import_log: ImportLog, tmp_path: Path
+) -> None:
+    needs_engine()
+    log = import_log("exchanged", {"base": m8p / "rover-20181004-1237.ubx.gz", "rover": base_file})
+    said = refused(photocal, log, tmp_path)
+    assert "the rover's link rover states one" in said
+    assert "give --rover-link base --base-link rover" in said
