@@ -5,6 +5,7 @@ What the figures of a flight log mean before packing up: whether it is complete 
 
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,10 @@ def verdict_on(figures: dict[str, Any], exposures: dict[str, int]) -> dict[str, 
     links = {link["link"]: link for link in figures["links"]}
     raw = {name: _raw(link) for name, link in links.items()}
     steady = {name: _steady(kinds) for name, kinds in raw.items() if kinds}
-    remarks = [*_of_exposures(seen), *_of_damage(links.values())]
+    apart = _apart(links)
+    raw_apart = [pair for pair in apart if steady.keys() >= set(pair)]
+    remarks = [*_of_exposures(seen), *_of_damage(links.values()), *map(_do_not_overlap, apart)]
+    remarks += [f"{name}: the imported file ends early" for name in _cut(figures.get("metadata", {}), links)]
     gaps = any((now["longest_gap_s"] or 0.0) > GAP_S for now in steady.values())
     faultless = not remarks and not gaps and figures["complete"]
     if not figures["complete"]:
@@ -61,7 +65,7 @@ def verdict_on(figures: dict[str, Any], exposures: dict[str, int]) -> dict[str, 
         "complete": faultless and bool(seen),
         "exposures": seen,
         "receivers": steady,
-        "ppk": _possible(_lacks_for_ppk([*steady], orbits=orbits)),
+        "ppk": _possible([*_lacks_for_ppk([*steady], orbits=orbits), *map(_do_not_overlap, raw_apart)]),
         "exposures_possible": _possible(no_exposure),
         "remarks": remarks,
     }
@@ -118,6 +122,25 @@ def _of_damage(links: Any) -> list[str]:
         for link in links
         if link["damage_bytes"] > 0.01 * max(link["frame_bytes"], 1)
     ]
+
+
+def _apart(links: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
+    """Pairs of links without a common moment, as those of two flights."""
+    spans = {name: link["span_ns"] for name, link in links.items() if link.get("span_ns")}
+    return [
+        (a, b)
+        for a, b in combinations(spans, 2)
+        if max(spans[a][0], spans[b][0]) > min(spans[a][1], spans[b][1])
+    ]
+
+
+def _do_not_overlap(pair: tuple[str, str]) -> str:
+    return f"{pair[0]} and {pair[1]} do not overlap in time"
+
+
+def _cut(metadata: dict[str, dict[str, str]], links: dict[str, dict[str, Any]]) -> list[str]:
+    """Links of packed recordings whose end is missing."""
+    return [name for name in links if metadata.get(f"import {name}", {}).get("packing_cut") == "True"]
 
 
 def _lacks_for_ppk(receivers: list[str], *, orbits: bool) -> list[str]:
@@ -239,6 +262,7 @@ class LinkSummary:
             "link": self.name,
             **picked(self, "frames", "frame_bytes", "damage_bytes"),
             "duration_s": duration,
+            "span_ns": [int(times[0]), int(times[-1])] if len(times) else None,
             "rate_hz": _rate(len(times), duration),
             "gaps": _gaps(times),
             "types": [self._type(key, parts) for key, parts in sorted(self.by_type.items())],

@@ -376,6 +376,10 @@ def import_recordings(
                         "name each with --link NAME=FILE",
                         where=path,
                     )
+                if any(path.samefile(result.path) for result in results):
+                    raise ConfigurationError(
+                        "is named twice, as two links", "name the recording of each receiver", where=path
+                    )
                 links.add(link)
                 results.append(_import(writer, link, source, form, dialect, advance, near_ns))
         writer.close()

@@ -298,10 +298,9 @@ def _far_apart(x: Floats, y: Floats, reach: float, largest: float) -> IllPosedEr
     except IllPosedError:
         hits = 0
     if 2 * hits > len(x):
-        allowed = f"{abs(offset) + 1:.0f}"
         return IllPosedError(
             f"{cause}, but {hits} of {len(x)} images fit if their clock is {-offset:+.0f} s off",
-            f"if it was, give --clock-offset {allowed}, or write clock_offset_s = {allowed} under [flight]",
+            f"if it was, give --clock-offset {abs(offset) + 1:.0f}, or clock_offset_s under [flight]",
         )
     return UnrelatedImagesError(
         f"{cause}, and no other clock offset makes them fit: images of another flight",

@@ -72,3 +72,22 @@ def test_a_cut_log_is_not_complete() -> None:
     said = verdict_on(figures(ROVER, BASE, complete=False), SEEN)
     assert not said["complete"]
     assert "acquire recover" in "\n".join(verdict_lines(said, ENGLISH))
+
+
+def test_links_of_two_days_are_named() -> None:
+    """Base and rover of two flights are no flight; a vehicle's clock beside theirs is worth a look."""
+    rover, base = {**ROVER, "span_ns": [0, 10]}, {**BASE, "span_ns": [11, 20]}
+    said = verdict_on(figures(rover, base), SEEN)
+    assert not said["complete"]
+    assert "PPK no (rover and base do not overlap in time)" in "\n".join(verdict_lines(said, ENGLISH))
+    vehicle = {**link("vehicle"), "span_ns": [11, 20]}
+    said = verdict_on(figures(rover, {**BASE, "span_ns": [5, 20]}, vehicle), SEEN)
+    assert (said["complete"], said["ppk"]["possible"]) == (False, True)
+    assert said["remarks"] == ["rover and vehicle do not overlap in time"]
+
+
+def test_a_packed_recording_that_was_cut_is_not_complete() -> None:
+    cut = {"metadata": {"import rover": {"packing_cut": "True"}}}
+    said = verdict_on(figures(ROVER, BASE) | cut, SEEN)
+    assert not said["complete"]
+    assert "  rover: the imported file ends early" in verdict_lines(said, ENGLISH)

@@ -68,6 +68,11 @@ def test_content_that_is_no_recording(
         (["--link", "rover", "-o", "{here}/out.mcap"], 5, "NAME=FILE"),
         (["--link", "a/b={here}/good.tlog", "-o", "{here}/out.mcap"], 5, "NAME=FILE"),
         (["{here}/good.tlog", "{here}/good.tlog", "-o", "{here}/out.mcap"], 5, "two recordings"),
+        (
+            ["--link", "a={here}/good.tlog", "--link", "b={here}/good.tlog", "-o", "{here}/out.mcap"],
+            5,
+            "is named twice",
+        ),
     ],
 )
 def test_arguments_that_cannot_be_meant(

@@ -29,6 +29,13 @@ def test_same_keys_and_same_places_for_values() -> None:
         assert portuguese[key].strip(), key
 
 
+def test_a_refusal_has_each_place_once() -> None:
+    """Refusals are found again by their patterns, in which a place has one name."""
+    for key, text in catalogue("en").messages.items():
+        names = [name for _, name, _, _ in Formatter().parse(text) if name is not None]
+        assert not key.startswith("refusal.") or len(names) == len(set(names)), key
+
+
 def test_every_text_is_used() -> None:
     """A key that no module names is a text that nobody will see."""
     source = "".join(p.read_text(encoding="utf-8") for p in Path(photocal.__file__).parent.rglob("*.py"))
