@@ -120,8 +120,8 @@ class ImageKeys(Table):
 
     position_sigma_m: without a flight: east, north, up, of positions whose pictures do not state it; "free"
         takes them as start values only, None assumes what a receiver without corrections reaches.
-    positions: without a flight: a `Timestamp.MRK`, `_events.pos` of RTKLIB, table of times and places, geo.txt
-        or reference table, whose positions go before those of the pictures.
+    positions: without a flight: a `Timestamp.MRK`, `_events.pos` of RTKLIB, table of times and places,
+        geo.txt or reference table, whose positions go before those of the pictures.
     position_frame: without a flight: `FRAME[@EPOCH]` of these positions, that of the caster, such as
         "IGS20@2026.9"; they are moved to that of the project.
     pictures: table of pictures with the camera that took each and, of cameras on one frame, the exposure.
