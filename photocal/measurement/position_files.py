@@ -352,9 +352,9 @@ def _moment(date: str, time: str) -> float:
         except ValueError:
             return np.nan
     # Computers count in milliseconds, microseconds and nanoseconds, too.
-    while value > 1e11:
+    while 1e11 < value < np.inf:
         value /= 1e3
-    return value
+    return value if np.isfinite(value) else np.nan
 
 
 def _listed(path: Path) -> ListedPositions:

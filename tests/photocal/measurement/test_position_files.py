@@ -111,6 +111,14 @@ def event_table(path: Path, head: str, rows: Sequence[int]) -> Path:
     return path
 
 
+@pytest.mark.parametrize("time", ["inf", "1e999", "-inf", "nan", "25:61", "9" * 400])
+def test_a_time_that_is_none_is_refused(tmp_path: Path, time: str) -> None:
+    path = event_table(tmp_path / "events.csv", HEADS[1], range(5))
+    path.write_text(path.read_text().replace("374418.000", time))
+    with pytest.raises(InputMalformedError):
+        read_positions(path, taken(*SECONDS[:5]))
+
+
 @pytest.mark.parametrize("head", HEADS)
 def test_a_table_of_times_and_places_goes_to_the_pictures_of_these_times(tmp_path: Path, head: str) -> None:
     """One event was lost, and a picture: neither numbers nor the order tell."""
