@@ -40,7 +40,7 @@ def import_(
     Example: `acquire import flight.tlog --link rover=rover.ubx --link base=base.ubx.gz -o flight.mcap`
     """
     from acquire.importing.importer import import_recordings
-    from photocal.base.files import refuse_input_as_output
+    from photocal.base.files import refuse_to_replace
 
     say = texts(spoken(language))
     named = [_named(text) for text in link or []]
@@ -49,7 +49,7 @@ def import_(
     if not named and not unnamed:
         raise ConfigurationError("no recording was named", "give FILE or --link NAME=FILE")
     paths = [*unnamed, *(path for _, path in named)]
-    refuse_input_as_output(output, *paths)
+    refuse_to_replace(output)
     total = sum(path.stat().st_size for path in paths if path.is_file())
     with progress(say("progress.importing"), total, say.messages["progress.left"]) as advance:
         results = import_recordings(named, unnamed, output, advance, near_ns)
@@ -237,11 +237,11 @@ def recover(
     Example: `acquire recover flight.mcap -o repaired.mcap`
     """
     from acquire.importing.recovery import recover as repair
-    from photocal.base.files import refuse_input_as_output
+    from photocal.base.files import refuse_to_replace
 
     say = texts(spoken(language))
     target = output or log.with_suffix(".recovered.mcap")
-    refuse_input_as_output(target, log)
+    refuse_to_replace(target)
     result = repair(log, target)
     answer(
         as_json,
@@ -277,10 +277,10 @@ def export(
     Example: `acquire export flight.mcap --link vehicle -o flight.tlog`
     """
     from acquire.log.replay import choose_link, export_tlog
-    from photocal.base.files import refuse_input_as_output
+    from photocal.base.files import refuse_to_replace
 
     say = texts(spoken(language))
-    refuse_input_as_output(output, log)
+    refuse_to_replace(output)
     name = choose_link(log, link)
     count = export_tlog(log, name, output)
     answer(

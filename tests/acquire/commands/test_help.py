@@ -18,7 +18,7 @@ from tests.acquire.commands.test_languages import literals, python
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
 
-OVERWRITTEN = "é lido, e seria sobrescrito; indique outra saída"
+OVERWRITTEN = "existe, e pode ser uma gravação; indique outra saída, ou apague-a antes"
 MISSING = "não pode ser lido (o arquivo ou a pasta não existe); verifique o nome e as permissões"
 FLIGHT = ["simulate", "flight", "small", "-o", "x"]
 
@@ -118,7 +118,7 @@ def test_progress_is_said_in_both_languages(
         ("en", r"importing: 100%, \d+ s left"),
         ("pt-BR", r"importando: 100%, faltam \d+ s"),
     ):
-        done = acquire("import", recording, "-o", tmp_path / "voo.mcap", "--lang", language)
+        done = acquire("import", recording, "-o", tmp_path / f"{language}.mcap", "--lang", language)
         assert re.fullmatch(form, done.stderr.splitlines()[-1])
 
 

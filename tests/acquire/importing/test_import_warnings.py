@@ -20,7 +20,7 @@ def test_times_beyond_the_table_of_leap_seconds_are_warned_of(acquire: Acquire, 
     for year, warned in ((2025, False), (2031, True)):
         source = tmp_path / f"{year}.nmea"
         source.write_bytes(nmea.encode(f"GPZDA,090000.00,01,05,{year},00,00") * 3)
-        done = acquire("import", source, "-o", tmp_path / "out.mcap", "--json")
+        done = acquire("import", source, "-o", tmp_path / f"{year}.mcap", "--json")
         assert done.returncode == 0
         assert ("leap seconds" in done.stderr) == warned
         assert bool(json.loads(done.stdout)["links"][0]["warning"]) == warned

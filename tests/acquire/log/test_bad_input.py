@@ -133,11 +133,19 @@ def test_a_stream_without_a_date_is_refused(acquire: Acquire, tmp_path: Path) ->
     assert "date" in done.stderr
 
 
-def test_an_existing_log_survives_a_failed_import(acquire: Acquire, tmp_path: Path) -> None:
-    log = tmp_path / "flight.mcap"
+@pytest.mark.parametrize("command", ["import", "export", "recover"])
+def test_no_command_writes_over_a_file(
+    acquire: Acquire, tmp_path: Path, demo_flight: bytes, command: str
+) -> None:
+    given, log = tmp_path / "given.tlog", tmp_path / "flight.mcap"
+    given.write_bytes(demo_flight)
+    if command != "import":
+        assert acquire("import", given, "-o", tmp_path / "given.mcap").returncode == 0
+        given = tmp_path / "given.mcap"
     log.write_bytes(b"precious")
-    (tmp_path / "bad.tlog").write_bytes(b"nothing" * 100)
-    assert acquire("import", tmp_path / "bad.tlog", "-o", log).returncode == 4
+    done = acquire(command, given, "-o", log)
+    assert (done.returncode, done.stderr.count("\n")) == (5, 1)
+    assert "exists" in done.stderr
     assert log.read_bytes() == b"precious"
 
 
