@@ -37,7 +37,7 @@ _OF_IGS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Realization:
     """A frame with the epoch of its coordinates.
 
@@ -47,6 +47,18 @@ class Realization:
 
     frame: str
     epoch: float = math.nan
+
+    @property
+    def _told(self) -> tuple[str, float | None]:
+        return self.frame, None if math.isnan(self.epoch) else self.epoch
+
+    def __eq__(self, other: object) -> bool:
+        """Whether frame and epoch are the same; two epochs that are not told are."""
+        return isinstance(other, Realization) and self._told == other._told
+
+    def __hash__(self) -> int:
+        """Hash of both."""
+        return hash(self._told)
 
     def __str__(self) -> str:
         epoch = FIXED[self.frame][0].epoch if self.frame in FIXED else self.epoch

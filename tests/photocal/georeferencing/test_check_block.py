@@ -6,6 +6,7 @@ import csv
 import json
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +70,7 @@ def test_three_methods_side_by_side_and_the_files(photocal: Photocal, folder: Pa
     assert {"check.json", "ground_points.csv", "images.csv", "report.md", "systematic_errors.csv"} <= names
     for method in content["methods"]:
         assert (out / f"{method}_residual_map.pdf").read_bytes().startswith(b"%PDF")
-        with sqlite3.connect(out / f"{method}.gpkg") as database:
+        with closing(sqlite3.connect(out / f"{method}.gpkg")) as database:
             roles = dict(database.execute("SELECT role, COUNT(*) FROM ground_points GROUP BY role"))
         database.close()
         assert roles == {"control": 9, "check": 20}

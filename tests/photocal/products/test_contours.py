@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sqlite3
 import struct
+from contextlib import closing
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -47,7 +48,7 @@ def cone(crs: str = SYSTEM, kind: str = "orthometric") -> Terrain:
 
 
 def read_gpkg(path: Path) -> list[Line]:
-    with sqlite3.connect(path) as base:
+    with closing(sqlite3.connect(path)) as base:
         columns = base.execute("SELECT geom, height, [index], kind FROM contours ORDER BY fid").fetchall()
         (system,) = base.execute("SELECT DISTINCT srs_id FROM gpkg_geometry_columns").fetchone()
         assert base.execute("PRAGMA integrity_check").fetchone() == ("ok",)
@@ -193,7 +194,7 @@ def test_points_of_a_table(tmp_path: Path) -> None:
     assert "2 contours every 4 m, 4 to 8 m (local heights), 0 of them index contours; no reference" in (
         " ".join(done.output.split())
     )
-    with sqlite3.connect(path) as base:
+    with closing(sqlite3.connect(path)) as base:
         assert base.execute("SELECT height FROM contours ORDER BY height").fetchall() == [(4.0,), (8.0,)]
 
 
