@@ -90,6 +90,26 @@ def test_no_help_is_english_or_too_wide(program: str, monkeypatch: pytest.Monkey
     assert wrong == []
 
 
+@both
+@pytest.mark.parametrize("language", ["en", "pt-BR"])
+def test_no_help_names_a_type_of_the_code(program: str, language: str) -> None:
+    for one in own(program):
+        printed = called(program, *one.name.split()[1:], "--help", "--lang", language).stdout
+        assert re.findall(r"<[a-zA-Z][^>=]*>", printed) == [], one.name
+
+
+def test_a_help_says_kinds_of_values_in_words() -> None:
+    printed = called("photocal", "ortho", "--help", "--lang", "en").stdout
+    for said in (
+        "--images PATH ",
+        "--image TEXT ",
+        "--cell NUMBER ",
+        "--workers INTEGER ",
+        "\n  BLOCK  Block",
+    ):
+        assert said in printed
+
+
 @pytest.mark.parametrize(
     ("call", "said"),
     [

@@ -95,7 +95,7 @@ class _Context(typer.Context):
 
         def names(line: str) -> str:
             """Say the placeholders of a usage, and the kinds of values."""
-            return re.sub(r"<[^>]+>|[A-Z][\w.=|:-]+", lambda found: said(found[0]), line)
+            return re.sub(r"[A-Z][\w.=|:-]+", lambda found: said(found[0]), kinds(line))
 
         def meaning(cell: str) -> str:
             """Say what an option is for; behind it stand its default and limits in brackets."""
@@ -119,6 +119,18 @@ class _Context(typer.Context):
             [(names(name), meaning(cell)) for name, cell in rows], **settings
         )
         return formatter
+
+
+def kinds(line: str) -> str:
+    """Say the kinds of an option's values in words: typer has names of types, such as `<float range>`.
+
+    An argument has a name that tells its kind.
+    """
+    words = {"str": " TEXT", "path": " PATH", "int": " INTEGER", "float": " NUMBER"}
+    of_option = line.startswith("-")
+    return re.sub(
+        r" <(?:list\[)?(\w+)[^>]*>", lambda found: words[found[1].lower()] if of_option else "", line
+    )
 
 
 class _Command(TyperCommand):

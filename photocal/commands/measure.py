@@ -193,19 +193,23 @@ def radiometry(
         Path | None, option("TOML to write, [radiometry] of a certificate's particulars.", "-o", "--output")
     ] = None,
     *,
+    language: Language = "",
     as_json: AsJson = False,
 ) -> None:
     """Measure the radiometry of a camera for the annex of its certificate.
 
-    Grey values must be linear: raw pictures, or TIFF made without a tone curve.
+    Grey values must be linear: TIFF made from raw pictures without a tone curve, not JPEG.
 
     Example: `photocal radiometry --edge edge.tif --star star.tif --place 2100,1480,600 --gsd-cm 1.5`
     """
     from photocal.base.files import write_file
+    from photocal.findings.texts import catalogue, spoken
     from photocal.measurement.radiometry import measure_radiometry
+    from photocal.report.required_sections import radiometry_rows
 
+    say = catalogue(spoken(language))
     figures = measure_radiometry(options)
-    lines = [f"{name} = {value}" for name, value in figures.items()]
     if output is not None:
+        lines = (f"{name} = {value}" for name, value in figures.items())
         write_file(output, "\n".join(["[radiometry]", *lines, ""]))
-    answer(as_json, lambda: figures, lambda: "\n".join(lines))
+    answer(as_json, lambda: figures, lambda: "\n".join(map(": ".join, radiometry_rows(figures, say))))

@@ -88,6 +88,14 @@ class RadiometryOptions(Options):
     ] = None
 
     def __post_init__(self) -> None:
-        """Refuse a star without its place."""
+        """Refuse a star without its place, and what is said of a picture that is not given."""
         if self.star is not None and self.place is None:
             raise ConfigurationError("--star needs --place", remedy="give COLUMN,ROW,RADIUS in pixels")
+        if self.edge is None and self.region is not None:
+            raise ConfigurationError("--region without --edge", remedy="give the picture of the edge, too")
+        if self.star is None and (self.place or self.gsd_cm is not None):
+            raise ConfigurationError(
+                "--place or --gsd-cm without --star", remedy="give the picture of the star, too"
+            )
+        if self.gsd_cm is not None and not self.gsd_cm > 0:
+            raise ConfigurationError(f"--gsd-cm {self.gsd_cm} is not positive", remedy="give centimetres")

@@ -1,7 +1,9 @@
 """Radiometry of a camera: MTF at a slanted edge, a Siemens star, vignetting, linearity."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,6 +41,8 @@ def measure_radiometry(options: RadiometryOptions) -> dict[str, float]:
         When a picture does not show what it should.
     """
     figures: dict[str, float] = {}
+    if options.edge is None and options.star is None and options.flat is None:
+        raise ConfigurationError("there is nothing to measure", remedy="give --edge, --star or --flat")
     # Contrast that counts as resolved, of that of large parts.
     resolved = 0.10
     if options.edge is not None:
@@ -46,23 +50,43 @@ def measure_radiometry(options: RadiometryOptions) -> dict[str, float]:
         if options.region is not None:
             form = "COLUMN,ROW,WIDTH,HEIGHT: px"
             column, row, width, height = map(int, numbers_of(options.region, "--region", form))
+            if not (
+                0 <= column < column + width <= grey.shape[1] and 0 <= row < row + height <= grey.shape[0]
+            ):
+                raise ConfigurationError(
+                    f"--region {options.region} is not within the picture of "
+                    f"{grey.shape[1]} x {grey.shape[0]} px",
+                    remedy=f"give {form}",
+                )
             grey = grey[row : row + height, column : column + width]
-        frequency, transfer, figures["edge_slant_deg"] = edge_mtf(grey)
+        with _of(options.edge):
+            frequency, transfer, figures["edge_slant_deg"] = edge_mtf(grey)
         figures["mtf50_cycles_px"] = falls_to(frequency, transfer, 0.5)
         figures["mtf10_cycles_px"] = falls_to(frequency, transfer, resolved)
         figures["mtf_at_nyquist"] = float(np.interp(0.5, frequency, transfer))
     if options.star is not None and options.place is not None:
         across, down, radius = numbers_of(options.place, "--place", "COLUMN,ROW,RADIUS: px")
-        frequency, contrast = siemens_star(read_grey(options.star), (across, down), radius, options.spokes)
+        grey = read_grey(options.star)
+        with _of(options.star):
+            frequency, contrast = siemens_star(grey, (across, down), radius, options.spokes)
         limit = figures["star_limit_cycles_px"] = falls_to(frequency, contrast, resolved)
         if options.gsd_cm is not None:
             figures["ground_resolution_cm"] = options.gsd_cm / limit
     if options.flat is not None:
         pictures = ((read_facts(path).exposure_s, read_grey(path)) for path in list_images(options.flat))
-        figures |= even_surface(pictures)
-    if not figures:
-        raise ConfigurationError("there is nothing to measure", remedy="give --edge, --star or --flat")
+        with _of(options.flat):
+            figures |= even_surface(pictures)
     return {name: float(f"{value:.4g}") for name, value in figures.items() if math.isfinite(value)}
+
+
+@contextmanager
+def _of(picture: Path) -> Iterator[None]:
+    """Name the picture that does not show what it should."""
+    try:
+        yield
+    except InputMalformedError as refusal:
+        refusal.where = refusal.where or str(picture)
+        raise
 
 
 def edge_mtf(grey: Grey | Floats) -> tuple[Floats, Floats, float]:

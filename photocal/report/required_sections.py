@@ -1,6 +1,7 @@
 """Sections of a certificate that the ministry's report, a laboratory's accreditation and a client ask for."""
 
 import math
+from collections.abc import Mapping
 from typing import get_args
 
 from photocal.base.arrays import picked
@@ -73,12 +74,18 @@ def _told_by_pictures(conditions: ConditionKeys) -> dict[str, str]:
 
 def radiometry(title: str, particulars: Metadata, say: Catalogue) -> tuple[Section, ...]:
     """Give the radiometric annex, where anything of it was measured."""
+    rows = radiometry_rows(particulars.radiometry, say)
+    return (Section(title, (KeyValues(rows), Paragraph(say("radiometry.note")))),) if rows else ()
+
+
+def radiometry_rows(figures: Mapping[str, float], say: Catalogue) -> tuple[tuple[str, str], ...]:
+    """Name figures of `photocal radiometry`, each with its unit."""
     units = {"deg": "°", "cycles_px": say("radiometry.cycles"), "cm": "cm"}
     rows = []
-    for key, value in particulars.radiometry.items():
+    for key, value in figures.items():
         unit = next((text for end, text in units.items() if key.endswith(end)), "")
         rows.append((say(f"radiometry.{key}"), f"{say.as_given(value)} {unit}".strip()))
-    return (Section(title, (KeyValues(tuple(rows)), Paragraph(say("radiometry.note")))),) if rows else ()
+    return tuple(rows)
 
 
 def flown_block(title: str, particulars: Metadata, say: Catalogue) -> tuple[Section, ...]:

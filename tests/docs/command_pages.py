@@ -15,6 +15,7 @@ import typer
 from typer.main import get_command
 
 from acquire.cli import app as acquire_app
+from photocal.base.console import kinds
 from photocal.cli import app as photocal_app
 
 FOLDER = Path(__file__).parents[2] / "docs" / "commands"
@@ -150,7 +151,7 @@ def _more(one: Command) -> str:
 def _row(names: str, text: str) -> str:
     found = re.fullmatch(r"(.*?)(?:  )?\[([^\]]*(?:default|required|<=|>=)[^\]]*)\]", text, re.DOTALL)
     meaning, limits = found.groups() if found else (text, "")
-    return f"| `{_cell(names)}` | {_cell(meaning)} | {_cell(limits)} |"
+    return f"| `{_cell(kinds(names))}` | {_cell(meaning)} | {_cell(limits)} |"
 
 
 def _cell(text: str) -> str:

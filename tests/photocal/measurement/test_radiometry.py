@@ -14,7 +14,7 @@ from scipy.special import erf
 from typer.testing import CliRunner
 
 from photocal.base.arrays import Floats
-from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.cli import app
 from photocal.measurement.radiometry import edge_mtf, falls_to, linearity, siemens_star, vignetting
 from photocal.report.certificate_metadata import read_particulars
@@ -135,5 +135,23 @@ def test_the_command_writes_what_a_certificate_reads(tmp_path: Path) -> None:
     assert figures["ground_resolution_cm"] == pytest.approx(2 / figures["star_limit_cycles_px"], rel=1e-3)
     given = read_particulars(output, dt.date(2026, 1, 2))
     assert given.radiometry["mtf50_cycles_px"] == figures["mtf50_cycles_px"]
-    nothing = CliRunner().invoke(app, ["radiometry"])
-    assert isinstance(nothing.exception, ConfigurationError)
+    said = CliRunner().invoke(app, [*command[:-3], "--lang", "pt-BR"])
+    assert f"MTF 50 %: {figures['mtf50_cycles_px']} ciclos/px".replace(".", ",") in said.stdout
+
+
+@pytest.mark.parametrize(
+    ("given", "refusal"),
+    [
+        ("", "nothing to measure"),
+        ("--edge {0} --region 60,0,40,40", "not within the picture of 80 x 120 px"),
+        ("--edge {0} --region=-5,0,40,40", "not within the picture"),
+        ("--flat {1} --region 0,0,40,40", "--region without --edge"),
+        ("--edge {0} --gsd-cm 2", "without --star"),
+        ("--star {0} --place 40,60,30 --gsd-cm 0", "not positive"),
+        ("--star {0} --place 40,60,30", "edge.png: has no star of 36 spokes"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused(tmp_path: Path, given: str, refusal: str) -> None:
+    Image.fromarray(np.round(edge(0.8, 5.0)).astype(np.uint8)).save(tmp_path / "edge.png")
+    command = ["radiometry", *given.format(tmp_path / "edge.png", tmp_path).split()]
+    assert refusal in str(CliRunner().invoke(app, command).exception)
