@@ -25,6 +25,7 @@ from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures, derived_figures, verdict
 from photocal.report.ministry_rows import Context, entries, read_layout
 from photocal.report.sensor import farthest_corner, radial_profile
+from photocal.report.signing import keep_signed
 from photocal.report.stored_analysis import AnalysedRun, certified_analysis, read_run
 from photocal.results.folder import block_of_run, carry, read_json, result_json
 from photocal.results.result import Figures, Result
@@ -191,7 +192,7 @@ def issue(
     warnings: tuple[Finding, ...] = (),
     done: Callable[[], None] = lambda: None,
 ) -> Document:
-    """Write the certificate of a run.
+    """Write the certificate of a run; a signed one that lies there is kept beside it, under its number.
 
     block: block folder or set-up file of the run; looked for near it when not given. Its files are carried.
     raises PhotocalError: for inputs that cannot be read or have changed, and for figures that cannot be
@@ -213,6 +214,7 @@ def issue(
     content = {**record(results, particulars, say, warnings), "documents": digests}
     forms[NAME] = (json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
     done()
+    keep_signed(output, forms[NAME])
     with output_folder(output) as folder:
         for name, octets in forms.items():
             (folder / name).write_bytes(octets)

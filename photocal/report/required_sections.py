@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import get_args
+from typing import Any, get_args
 
 from photocal.base.arrays import picked
 from photocal.findings.digits import decimals_of
@@ -78,7 +78,7 @@ def radiometry(title: str, particulars: Metadata, say: Catalogue) -> tuple[Secti
     return (Section(title, (KeyValues(rows), Paragraph(say("radiometry.note")))),) if rows else ()
 
 
-def radiometry_rows(figures: Mapping[str, float], say: Catalogue) -> tuple[tuple[str, str], ...]:
+def radiometry_rows(figures: Mapping[Any, float], say: Catalogue) -> tuple[tuple[str, str], ...]:
     """Name figures of `photocal radiometry`, each with its unit."""
     units = {"deg": "°", "cycles_px": say("radiometry.cycles"), "cm": "cm"}
     rows = []

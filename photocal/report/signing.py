@@ -8,7 +8,9 @@ When a certificate was signed: a time stamp of an authority over the signature (
 import base64
 import datetime as dt
 import hashlib
+import itertools
 import json
+import os
 import urllib.error
 import urllib.request
 from collections.abc import Mapping
@@ -19,7 +21,7 @@ from urllib.parse import urlsplit
 
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
-from photocal.base.files import write_file
+from photocal.base.files import refusals, write_file
 from photocal.base.operating_system import settings_folder
 from photocal.findings.texts import Catalogue, catalogue
 from photocal.report.keys import (
@@ -269,6 +271,24 @@ def sign(folder: Path, number: str, now: dt.datetime, passphrase: str = "") -> t
     signed = {**content, "signature": _text(private.sign(_canonical(content)))}
     write_file(folder / SIGNATURE, json.dumps(signed, indent=1, ensure_ascii=False) + "\n")
     return key, told
+
+
+def keep_signed(folder: Path, certified: bytes) -> str:
+    """Move a signed certificate beside its folder, under its number, before another takes its place.
+
+    certified: content of the other `certificate.json`; the same one stays where it is, with its signature.
+    returns: the name of the folder where it lies now; empty where nothing was moved.
+    """
+    record = folder / "certificate.json"
+    if not (folder / SIGNATURE).is_file() or (record.is_file() and record.read_bytes() == certified):
+        return ""
+    signed = str(read_object(folder / SIGNATURE).get("number", ""))
+    number = "".join(c if c.isalnum() else "-" for c in signed)[:80]
+    names = (f"{folder.name}-{number}{'' if k == 1 else f'-{k}'}" for k in itertools.count(1))
+    place = next(free for name in names if not os.path.lexists(free := folder.with_name(name)))
+    with refusals(place):
+        folder.rename(place)
+    return place.name
 
 
 def manifest(folder: Path) -> dict[str, str]:

@@ -78,9 +78,17 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
             block, warnings = work / "block", gather(work)
             issue(work / "analysis", folder, given, language=language, block=block, warnings=warnings)
 
+    def keep(made: Path, public: Path) -> tuple[str, ...]:
+        """Keep a signed certificate that another would replace."""
+        from photocal.report.issue import NAME
+        from photocal.report.signing import keep_signed
+
+        kept = keep_signed(public, (made / NAME).read_bytes())
+        return (f"the signed certificate is kept in {kept}",) if kept else ()
+
     settings = {
         **keys.model_dump(mode="json", exclude={"particulars", "plan"}),
         "language": language,
         "key": fingerprint,
     }
-    return Stage("certificate", "certificate", make, inputs, settings, earlier)
+    return Stage("certificate", "certificate", make, inputs, settings, earlier, keep)

@@ -311,6 +311,8 @@ class Stage:
     inputs: files and folders by a name that does not change when the project is moved.
     settings: whatever else decides over the result, ready for JSON.
     after: folders of earlier stages whose files are read.
+    before: gets the folder that was made and the public one before that is brought up to date; gives what it
+        has done there, a phrase each.
     """
 
     name: str
@@ -319,6 +321,7 @@ class Stage:
     inputs: Mapping[str, Path] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     after: tuple[Path, ...] = ()
+    before: Callable[[Path, Path], tuple[str, ...]] = lambda *_: ()
 
 
 @dataclass(frozen=True)
@@ -377,7 +380,8 @@ def update_stage(
     public, published = work / stage.name, made_in(work) / f"{stage.name}.published.json"
     seconds, taken = float(record.get("seconds", 0.0)), record.get("adjustments", [])
     reasons = tuple(entry["reason"] for entry in taken)
-    return StageResult(stage.name, public, kept, seconds, reasons, publish(made, public, published))
+    remarks = (*stage.before(made, public), *publish(made, public, published))
+    return StageResult(stage.name, public, kept, seconds, reasons, remarks)
 
 
 def last_seconds(stage: Stage, work: Path) -> float:

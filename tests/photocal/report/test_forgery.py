@@ -285,3 +285,20 @@ def test_the_key_is_closed_to_others_and_never_replaced(office: Path) -> None:
     assert key.stat().st_mode & 0o077 == 0
     assert key.parent.stat().st_mode & 0o077 == 0
     assert "there is a key already" in str(call("keys", "--new", "Laboratory").exception)
+
+
+def test_a_signed_certificate_is_not_written_over(office: Path, folder: Path, tmp_path: Path) -> None:
+    """A signature that stays beside another certificate would make a false one of it."""
+    number = read_record(folder)[0]["number"]
+    held = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    again = ("certificate", office / "run", "-o", folder, "--block", DEMO)
+    done(*again, "--client", "Another client")
+    assert not (folder / "signature.json").exists()
+    kept = folder.with_name(f"{folder.name}-{number}")
+    assert {path.name: path.read_bytes() for path in kept.iterdir() if path.is_file()} == held
+    assert "authentic" in done("verify", kept)
+    # The same certificate, made again, keeps its signature.
+    done("sign", folder)
+    done(*again, "--client", "Another client")
+    assert (folder / "signature.json").exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [folder.name, kept.name]
