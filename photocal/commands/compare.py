@@ -120,9 +120,11 @@ def compare(
 
 def _flights(paths: list[Path], *, exchange: bool) -> tuple[Calibrated, ...]:
     """Find the flights that were named; none when it is a file of cameras."""
-    from photocal.base.errors import ConfigurationError
+    from photocal.base.errors import ConfigurationError, InputNotFoundError
     from photocal.run.calibrations import is_camera_file, read_calibrated
 
+    if missing := next((path for path in paths if not path.exists()), None):
+        raise InputNotFoundError("no such file or folder", "check the name", where=missing)
     if not is_camera_file(paths[0]):
         return read_calibrated(paths)
     if len(paths) > 1:

@@ -153,8 +153,9 @@ def read_result(folder: Path) -> Result:
     raises InputMalformedError: when a file is of another schema, cut, not a number where one must stand, or
         contradicts another.
     """
-    if not folder.is_dir():
+    if not (folder / RESULT).is_file():
         what = "is a file, a folder was expected" if folder.exists() else "no such folder"
+        what = f"has no {RESULT}" if folder.is_dir() else what
         raise InputNotFoundError(what, "give the folder that `photocal adjust` wrote", where=folder)
     table = folder / "residuals.parquet"
     table = table if table.is_file() else folder / "residuals.csv"

@@ -74,15 +74,30 @@ def read_calibrated(paths: Sequence[Path]) -> tuple[Calibrated, ...]:
     """Find the calibrations of certificates, run folders, work folders and projects.
 
     raises InputNotFoundError: when there is no calibration, or fewer than two.
+    raises ConfigurationError: when two are the same, such as a run and its own certificate.
     """
     flights: list[Calibrated] = []
     for path in paths:
         flight = _calibrated(path)
+        if same := next((other for other in flights if _same(flight.cameras, other.cameras)), None):
+            raise ConfigurationError(
+                f"is the same calibration as {same.name}", "name that of another flight", where=path
+            )
         taken = sum(flight.name == other.name for other in flights)
         flights.append(replace(flight, name=f"{flight.name} ({path})") if taken else flight)
     if len(flights) < 2:
         raise InputNotFoundError("one calibration cannot be compared", "name two or more runs or projects")
     return tuple(flights)
+
+
+def _same(ours: dict[str, Camera], theirs: dict[str, Camera]) -> bool:
+    """Whether an adjustment has given both, to its last digit."""
+    return ours.keys() == theirs.keys() and all(
+        camera.sigma.any()
+        and np.array_equal(camera.values, theirs[name].values)
+        and np.array_equal(camera.sigma, theirs[name].sigma)
+        for name, camera in ours.items()
+    )
 
 
 def _calibrated(path: Path) -> Calibrated:

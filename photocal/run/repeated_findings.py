@@ -72,7 +72,11 @@ def repeated_findings(
     examined = any(finding.stage for finding in told)
     unchecked = any(finding.code == "not-checked" for finding in told)
     amiss: dict[bool, list[str]] = {True: [], False: []}
+    # An adjustment alone states its analysis as figures, which are compared.
+    stated = () if examined else found.get("analysis", ())
     for finding in again:
+        if any(same_matter(finding, other) for other in stated):
+            continue
         if finding.stage in found and (text := _amiss(finding, told, say)):
             amiss[examined and not (unchecked and finding.stage == "georeferencing")].append(text)
     for finding in told:

@@ -414,7 +414,7 @@ def _calibration_lines(figures: dict[str, Any], say: Catalogue) -> Iterator[str]
     for name, camera in figures["cameras"].items():
         values = camera["parameters"]
         texts = [
-            f"{key} {with_sigma(values[key]['value'], values[key]['stated'])}"
+            f"{key} {with_sigma(values[key]['value'], values[key]['stated']).replace('.', say.mark)}"
             for key in values
             if key in ("c", "x0", "y0")
         ]
@@ -427,13 +427,12 @@ def _calibration_lines(figures: dict[str, Any], say: Catalogue) -> Iterator[str]
     for word, names, unit in (("lever_arm", _LEVER, "m"), ("boresight", _BORESIGHT, "deg")):
         values = [mounting[key] for key in names]
         if any(value["estimated"] for value in values):
-            yield _line(
-                say(f"ran.{word}"),
-                ", ".join(with_sigma(value["value"], value["sigma"]) for value in values) + f" {unit}",
-            )
+            both = (with_sigma(value["value"], value["sigma"]).replace(".", say.mark) for value in values)
+            yield _line(say(f"ran.{word}"), f"{', '.join(both)} {unit}")
     offset = mounting["time_offset"]
     if offset["estimated"]:
-        yield _line(say("ran.time_offset"), f"{with_sigma(offset['value'] * 1e3, offset['sigma'] * 1e3)} ms")
+        late = with_sigma(offset["value"] * 1e3, offset["sigma"] * 1e3).replace(".", say.mark)
+        yield _line(say("ran.time_offset"), f"{late} ms")
 
 
 def _check_lines(methods: dict[str, Any], say: Catalogue) -> Iterator[str]:

@@ -71,6 +71,11 @@ def test_what_cannot_be_compared(runs: list[Path], tmp_path: Path) -> None:
     (tmp_path / "cameras.toml").write_text("[[camera]]\n", encoding="utf-8")
     mixed = CliRunner().invoke(app, ["compare", str(tmp_path / "cameras.toml"), str(runs[0])])
     assert isinstance(mixed.exception, ConfigurationError)
+    issue(runs[0], tmp_path / "certificate", read_particulars(None, dt.date(2026, 5, 1)))
+    itself = CliRunner().invoke(app, ["compare", str(runs[0]), str(tmp_path / "certificate")])
+    assert "is the same calibration as may" in str(itself.exception)
+    mistyped = CliRunner().invoke(app, ["compare", str(tmp_path / "mai"), str(runs[0])])
+    assert str(mistyped.exception) == f"{tmp_path / 'mai'}: no such file or folder; check the name"
 
 
 @pytest.mark.slow
