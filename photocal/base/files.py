@@ -146,6 +146,13 @@ def write_file(path: Path, content: str | bytes) -> None:
         aside.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
+def write_pdf(path: Path, content: bytes) -> None:
+    """Write a PDF; raises ConfigurationError for a name that does not say so: it would not open."""
+    if path.suffix.lower() != ".pdf":
+        raise ConfigurationError(f"{path} has no known extension", "use .pdf")
+    write_file(path, content)
+
+
 @contextmanager
 def _of(path: Path) -> Iterator[None]:
     """Give a refusal the name of the file: those of a full disk have none."""

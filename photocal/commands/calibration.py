@@ -230,7 +230,7 @@ def forms(
     """
     import datetime as dt
 
-    from photocal.base.files import write_file
+    from photocal.base.files import write_pdf
     from photocal.findings.document import pdf
     from photocal.findings.texts import catalogue, spoken
     from photocal.report.ministry_rows import field_forms, planned_places
@@ -240,7 +240,7 @@ def forms(
     say = catalogue(spoken(language))
     document = field_forms(names, places, say, stations)
     content = pdf(document, dt.datetime.now().astimezone().date())
-    write_file(output, content)
+    write_pdf(output, content)
     titles = [section.title for section in document.sections]
     answer(
         as_json,

@@ -135,9 +135,9 @@ def targets(
 ) -> None:
     """Write target sheets as PDF, true to scale, for all targets that `photocal measure` reads.
 
-    Example: `photocal targets apriltag_36h11 --numbers 1-20 --size-mm 160 -o targets.pdf`
+    Example: `photocal targets apriltag_36h11 --numbers 1-20 --size-mm 110 -o targets.pdf`
     """
-    from photocal.base.files import write_file
+    from photocal.base.files import write_pdf
     from photocal.findings.texts import catalogue, spoken
     from photocal.measurement.markers import DICTIONARIES, parse_board
     from photocal.measurement.target_shapes import board_target, coded_target, plain_target, sheets_pdf
@@ -152,7 +152,7 @@ def targets(
     else:
         sheets = [plain_target(kind, size_mm)]
     content = sheets_pdf(sheets, paper)
-    write_file(output, content)
+    write_pdf(output, content)
     titles = [sheet.title for sheet in sheets]
     answer(
         answering.as_json,

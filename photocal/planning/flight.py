@@ -305,8 +305,12 @@ class PlannedFlight:
 
 def level_geometry(request: FlightRequest, height_m: float) -> LevelGeometry:
     """Compute the figures of one flying height."""
-    if not (math.isfinite(height_m) and height_m > 0.0):
-        raise ConfigurationError(f"a flying height of {height_m:g} m above ground is not possible")
+    # From a person's height to that of the highest survey aircraft: all else is a wrong unit.
+    if not 1.0 <= height_m <= 20_000.0:
+        raise ConfigurationError(
+            f"a flying height of {height_m:g} m above ground is not possible",
+            "check the units: focal length in mm, pixel in micrometres, GSD in cm, heights in m",
+        )
     frame = request.frame
     gsd = ground_sample_distance(height_m, frame)
     ground = footprint(gsd, frame)

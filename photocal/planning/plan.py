@@ -329,6 +329,12 @@ def plan(
     exposure_s = None if limits.exposure_ms is None else limits.exposure_ms * 1e-3
     notes = remarks(fast, targets, exposure_s, limits.shortest_interval)
     away = None if takeoff is None else farthest_m(flight, *takeoff)
+    # No aircraft with a mission file begins so far away: somewhere latitude and longitude are exchanged.
+    if away is not None and away > 200e3:
+        raise ConfigurationError(
+            f"the area is {away / 1e3:.0f} km from the take-off place",
+            "check latitude and longitude of both: --home takes LAT,LON,HEIGHT",
+        )
     if away is not None and limits.radio_range is not None and away > limits.radio_range:
         figures = {"far_m": away, "range_m": limits.radio_range}
         notes = (*notes, Finding("radio-range", "doubtful", figures=figures))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -133,6 +134,20 @@ def test_refusals(
     assert answer.code != 0
     assert said in answer.err
     assert not (tmp_path / "t.pdf").exists()
+
+
+def test_the_example_of_the_help_works(tmp_path: Path, photocal: Callable[..., Answer]) -> None:
+    (example,) = re.findall(
+        r"`photocal (targets [^`]*)`", " ".join(photocal("targets", "--help").out.split())
+    )
+    assert photocal(*example.replace("targets.pdf", str(tmp_path / "t.pdf")).split()).code == 0
+
+
+def test_sheets_have_the_name_of_a_pdf(tmp_path: Path, photocal: Callable[..., Answer]) -> None:
+    for command in (("targets", "disc"), ("forms",)):
+        answer = photocal(*command, "-o", tmp_path / "sheets.docx")
+        assert "sheets.docx has no known extension; use .pdf" in answer.err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_sheets_are_the_same_each_time() -> None:

@@ -196,6 +196,10 @@ def test_plan_command_says_that_no_mission_was_written(area: Path, tmp_path: Pat
         [],
         ["--height", "-5"],
         ["--height", "nan"],
+        # A pixel in millimetres, a focal length in metres; latitude and longitude of the home exchanged.
+        ["--gsd-cm", "3", "--pixel-um", "0.00241"],
+        ["--gsd-cm", "3", "--focal-mm", "0.0088"],
+        ["--height", "100", "--home", "-51.2945,-28.8535,700", "--ground-height", "705"],
         ["--gsd-cm", "0"],
         ["--height", "100", "--forward", "80"],
         ["--height", "100", "--speed", "0"],
