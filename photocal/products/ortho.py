@@ -7,6 +7,7 @@ from typing import Any
 
 from photocal.base.console import numbers_of, progress
 from photocal.base.errors import ConfigurationError
+from photocal.base.files import refuse_input_as_output
 from photocal.findings.texts import Catalogue, catalogue
 from photocal.products import ortho_job
 from photocal.products.options import OrthoOptions
@@ -153,6 +154,7 @@ def ortho(
         raise ConfigurationError(f"--resampling {asked.resampling} is not known", f"use {', '.join(methods)}")
     if asked.heights is not None and asked.heights not in HEIGHT_KINDS:
         raise ConfigurationError(f"--heights {asked.heights} is not known", f"use {', '.join(HEIGHT_KINDS)}")
+    refuse_input_as_output(Path(output), Path(dtm))
     model_of_terrain, remarks = _terrain_file(Path(dtm), asked)
     model, frame, shots = oriented(Path(block), asked.run)
     files = ortho_job.image_files(model, Path(images), tuple(asked.image))

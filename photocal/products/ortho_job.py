@@ -159,6 +159,12 @@ def plan_grid(
         # Two digits, so that nobody reads 0.083461.
         power = 10.0 ** (math.floor(math.log10(pixel)) - 1)
         cell = math.ceil(pixel / power) * power
+    # So much finer, every pixel would be repeated hundreds of times: the length has another unit.
+    if cell < pixel / 20.0:
+        raise ConfigurationError(
+            f"a cell of {cell:g} m is far finer than the images, whose pixel is {pixel:.2g} m on the ground",
+            "give --cell in metres",
+        )
     if bounds is None:
         shown = footprints(shots, frame, low)
         reach = raster.bounds

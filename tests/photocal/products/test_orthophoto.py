@@ -276,6 +276,7 @@ def test_the_file_is_a_tiled_geotiff(photocal: Callable[..., Any], tmp_path: Pat
     ("more", "code", "complaint"),
     [
         (["--cell", "0"], 5, "positive length"),
+        (["--cell", "0.001"], 5, "far finer than the images"),
         (["--resampling", "lanczos"], 5, "use nearest, bilinear, cubic"),
         (["--crs", "EPSG:4326"], 5, "different reference systems"),
         (["--crs", "nowhere"], 5, "not a known reference system"),
@@ -298,6 +299,16 @@ def test_complaints_are_one_line(
     assert told.code == code
     assert told.err.count("\n") == 1
     assert not (tmp_path / "ortho.tif").exists()
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_the_terrain_model_is_not_overwritten(photocal: Callable[..., Any], tmp_path: Path) -> None:
+    job = write_job(tmp_path)
+    model = Path(job[job.index("--dtm") + 1])
+    before = model.read_bytes()
+    told = photocal(*job, "-o", model)
+    assert "would be overwritten" in told.err
+    assert model.read_bytes() == before
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
