@@ -93,9 +93,11 @@ def read_calibrated(paths: Sequence[Path]) -> tuple[Calibrated, ...]:
 def _same(ours: dict[str, Camera], theirs: dict[str, Camera]) -> bool:
     """Whether an adjustment has given both, to its last digit."""
     return ours.keys() == theirs.keys() and all(
-        camera.sigma.any()
+        camera.sigma is not None
+        and (sigma := theirs[name].sigma) is not None
+        and camera.sigma.any()
         and np.array_equal(camera.values, theirs[name].values)
-        and np.array_equal(camera.sigma, theirs[name].sigma)
+        and np.array_equal(camera.sigma, sigma)
         for name, camera in ours.items()
     )
 
