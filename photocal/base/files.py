@@ -57,6 +57,13 @@ def output_file(path: Path) -> Iterator[Path]:
         aside.unlink(missing_ok=True)
 
 
+def refuse_input_as_output(output: Path, *inputs: Path) -> None:
+    """Refuse to write over what is read; raises ConfigurationError."""
+    for path in inputs:
+        if path.exists() and output.exists() and path.samefile(output):
+            raise ConfigurationError("is read, and would be overwritten", "name another output", where=path)
+
+
 def refuse_to_replace(output: Path) -> None:
     """Refuse to write over a file: a recording cannot be made again; raises ConfigurationError."""
     if output.exists() and not output.is_dir():
