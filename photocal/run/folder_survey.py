@@ -53,7 +53,7 @@ _CONTROLS = ("control", "controle", "apoio", "gcp", "control point", "3d gcp")
 # A check point beside "gcp", a control point beside "check", and alone it may be either.
 _EITHER = "cp"
 _LOGS, _RAW_LOGS = (".mcap",), (".tlog", ".bin", ".ulg", ".ubx")
-_TABLES = (".csv", ".txt")
+_TABLES, _PROJECTS = (".csv", ".txt"), (".p4d", ".psz")
 _NO_TEXTS = (".xlsx", ".xls", ".ods", ".kml", ".kmz", ".shp", ".gpkg", ".dxf", ".gpx")
 # Who speaks of pictures does so at once.
 _HEAD_BYTES = 1 << 16
@@ -128,7 +128,7 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
             if placed is not seen.pictures:
                 seen.positions.append(path)
             seen.pictures = placed
-        elif kind in (*_TABLES, ".xml", ".json", ".psz"):
+        elif kind in _READERS:
             control = _control(path, sizes, seen.unread, say)
             if control is not None:
                 (seen.control if control.points.names else seen.marks).append(control)
@@ -238,7 +238,8 @@ def _control(path: Path, sizes: Sizes, unread: list[str], say: Catalogue) -> Con
     cells = set(re.split(r"[\s,;\"]+", path.read_bytes()[:_HEAD_BYTES].decode("latin-1")))
     named = any(name in cells or Path(name).stem in cells for name in sizes)
     headed, lists_places = _seems_a_table(path) if path.suffix.lower() in _TABLES else (False, False)
-    if refusals and (named or lists_places or any(word in path.stem.lower() for word in words)):
+    meant = path.suffix.lower() in _PROJECTS or any(word in path.stem.lower() for word in words)
+    if refusals and (named or lists_places or meant):
         # What heads its columns is no list of ODM's.
         unread.append(str(refusals[_READERS[path.suffix.lower()].index(_table)] if headed else refusals[0]))
     return None
@@ -465,6 +466,7 @@ _READERS: dict[str, tuple[Callable[[Path, Sizes, Catalogue], ControlMarks], ...]
     ".xml": (_one_file, _micmac, _other_program),
     ".json": (_one_file,),
     ".psz": (_other_program,),
+    ".p4d": (_one_file,),
     ".csv": (_table, _bare_table, _marks),
     ".txt": (_typed_list, _table, _bare_table, _marks),
 }

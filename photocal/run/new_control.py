@@ -327,7 +327,7 @@ def _out_of_degrees(made: NewProject, written: str) -> None:
     from pyproj.exceptions import CRSError
 
     xy, named = made.points.values[:, :2], called(made.crs, None) if made.crs else ()
-    if not len(xy) or not made.crs or not written or not bool((np.abs(xy) <= [180.0, 90.0]).all()):
+    if not made.crs or not written or not _in_degrees(xy):
         return
     try:
         given = system_of(written)
@@ -340,10 +340,16 @@ def _out_of_degrees(made: NewProject, written: str) -> None:
         return
     way = Transformer.from_crs(given.to_2d(), plane, always_xy=True)
     places = np.column_stack(way.transform(*xy.T))
-    if np.isfinite(places).all():
+    if np.isfinite(places[np.isfinite(xy).all(axis=1)]).all():
         values = np.column_stack([places, made.points.values[:, 2]])
         made.points = replace(made.points, values=values)
         made.known.append(made.say("new.crs_degrees", crs=made.crs))
+
+
+def _in_degrees(xy: Floats) -> bool:
+    """Whether all places that are known may be longitudes and latitudes."""
+    known = xy[np.isfinite(xy).all(axis=1)]
+    return bool(len(known)) and bool((np.abs(known) <= [180.0, 90.0]).all())
 
 
 def _is_geocentric(places: Floats) -> bool:
@@ -362,7 +368,7 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
     if text.strip().lower() == "local":
         return "local"
     xy, say = made.points.values[:, :2], made.say
-    degrees = bool(len(xy)) and bool((np.abs(xy) <= [180.0, 90.0]).all())
+    degrees = _in_degrees(xy)
     try:
         system = system_of(text)
     except CRSError:
@@ -384,7 +390,11 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
             local = say("new.or_local")
             made.asked.append(say("new.crs_unfit", text=text, wrong=wrong, or_local=local))
             return ""
-        made.points = moved.points
+        made.points, known = moved.points, set(moved.points.names)
+        made.refused += moved.refused
+        made.marks = tuple(
+            mark for mark in made.marks if mark.point in known or mark.point not in points.names
+        )
         made.height = "ellipsoidal" if system.is_geocentric else made.height
         made.known += _moved(system, moved.crs, say)
         return moved.crs
@@ -494,7 +504,8 @@ def _turned(places: Floats, placed: Sequence[ImageFacts]) -> bool | None:
     near_deg = 0.2
     latitude, longitude = middle_of(placed)
     away = [
-        np.abs(np.median(places, axis=0) - at).max() for at in ((longitude, latitude), (latitude, longitude))
+        np.abs(np.nanmedian(places, axis=0) - at).max()
+        for at in ((longitude, latitude), (latitude, longitude))
     ]
     return None if min(away) > near_deg else away[1] < away[0]
 
@@ -515,5 +526,5 @@ def _system_of(points: ObjectPoints, placed: Sequence[ImageFacts]) -> str:
     # Control this near to the pictures' positions is in their zone, m beyond their width.
     reach_m = 200.0
     reach = np.linalg.norm(high - low) + reach_m
-    away = np.linalg.norm(np.median(points.values[:, :2], axis=0) - (low + high) / 2)
+    away = np.linalg.norm(np.nanmedian(points.values[:, :2], axis=0) - (low + high) / 2)
     return zone if away < reach else ""

@@ -253,7 +253,7 @@ def test_a_head_says_the_kind_of_heights(folder: Path, photocal: Photocal, head:
     found = new(photocal, folder)
     assert key(folder, "height") == height
     assert control(folder)["G1"][2] == 912.4
-    assert any(f"by the heading {head!r}" in line for line in found["found"]) is (height != "?")
+    assert any(f"by {head!r}" in line for line in found["found"]) is (height != "?")
 
 
 def test_what_a_person_says_of_heights_stands_before_the_head(folder: Path, photocal: Photocal) -> None:
