@@ -114,6 +114,7 @@ class ControlMarks:
     unit_m: metres of the unit that heads state.
     height, height_head: kind of the heights where a head says it, and that head.
     level: EPSG code of the system of heights that it names.
+    crs_file: file beside the table that names the system; none where the table itself does.
     unordered: whether no head says which of the coordinates is east.
     """
 
@@ -131,6 +132,7 @@ class ControlMarks:
     height: str = ""
     height_head: str = ""
     level: str = ""
+    crs_file: Path | None = None
     unordered: bool = False
     beside: tuple[Path, ...] = ()
 

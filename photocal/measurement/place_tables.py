@@ -21,8 +21,10 @@ from photocal.measurement.position_files import PLACE_HEADS
 
 # Words of heights; beside one of them, or alone, stands what the heights count from.
 _HEIGHT_WORDS = frozenset(folded(word) for word in PLACE_HEADS["Z"] if " " not in folded(word))
-_ELLIPSOIDAL = re.compile(r"ell?ip\w*|ellis\w*|hae|geometric[ao]")
-_ORTHOMETRIC = re.compile(r"ort?ho\w*|ortom\w*|msl|amsl|nmm|egm\d+|navd\d*|nhn|nap|normal\w*|gebrauchs\w*")
+_ELLIPSOIDAL = re.compile(r"ell?ip\w*|ellis\w*|h?ell|hae|geometric[ao]")
+_ORTHOMETRIC = re.compile(
+    r"ort?h\w*|ortom\w*|msl|amsl|nmm|msnm|egm\d+|navd\d*|dhhn\d*|nhn|nap|normal\w*|gebrauchs\w*"
+)
 # Heads with one of these are of no height.
 _NO_HEIGHT = re.compile(
     r"geoid\w*|undulat\w*|ondul\w*|separation|sigma|sd|std\w*|rms\w*|rmse|accuracy|precision|error|erro|cq|"

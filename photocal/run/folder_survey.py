@@ -15,9 +15,10 @@ from photocal.base.errors import InputNotFoundError, PhotocalError
 from photocal.base.text_tables import TextTable, folded, shortened
 from photocal.block.model import ROLES, Block, ObjectPoints, Role
 from photocal.exchange.parts import Mark, PointEntry, object_points
-from photocal.exchange.source import number, read_lines
+from photocal.exchange.source import number, read_lines, read_text
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
+from photocal.geometry.frames import code_of, system_of
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES, require_names
 from photocal.measurement.marks import (
@@ -53,6 +54,8 @@ _CONTROLS = ("control", "controle", "apoio", "gcp", "control point", "3d gcp")
 # A check point beside "gcp", a control point beside "check", and alone it may be either.
 _EITHER = "cp"
 _LOGS, _RAW_LOGS = (".mcap",), (".tlog", ".bin", ".ulg", ".ubx")
+# What a table in degrees is taken for, and files that name the system of a table, the best first.
+_DEGREES, _SYSTEMS = "EPSG:4326", (".qpj", ".prj", ".wkt")
 _TABLES, _PROJECTS = (".csv", ".txt"), (".p4d", ".psz")
 _NO_TEXTS = (".xlsx", ".xls", ".ods", ".kml", ".kmz", ".shp", ".gpkg", ".dxf", ".gpx")
 # Who speaks of pictures does so at once.
@@ -129,9 +132,7 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
                 seen.positions.append(path)
             seen.pictures = placed
         elif kind in _READERS:
-            control = _control(path, sizes, seen.unread, say)
-            if control is not None:
-                (seen.control if control.points.names else seen.marks).append(control)
+            _with_control(path, files, sizes, seen, say)
     # Whoever has points in one of these finds no word of them otherwise.
     sheets = [path for path in files if path.suffix.lower() in _NO_TEXTS and not seen.control]
     seen.unread += [say("new.no_text", place=path) for path in sheets]
@@ -220,6 +221,19 @@ def _files(folder: Path, depth: int, been: set[Path]) -> Iterator[Path]:
             yield from _files(path, depth - 1, been)
 
 
+def _with_control(
+    path: Path, files: Sequence[Path], sizes: Sizes, seen: FolderContents, say: Catalogue
+) -> None:
+    """Control or marks of a file, if it has them."""
+    control = _control(path, sizes, seen.unread, say)
+    if control is None:
+        return
+    if control.points.names:
+        seen.control.append(_with_system_beside(control, files, seen.unread, say))
+    else:
+        seen.marks.append(control)
+
+
 def _control(path: Path, sizes: Sizes, unread: list[str], say: Catalogue) -> ControlMarks | None:
     """Control or marks of a file; None for one that has neither. What looks like them tells why not."""
     refusals = []
@@ -243,6 +257,37 @@ def _control(path: Path, sizes: Sizes, unread: list[str], say: Catalogue) -> Con
         # What heads its columns is no list of ODM's.
         unread.append(str(refusals[_READERS[path.suffix.lower()].index(_table)] if headed else refusals[0]))
     return None
+
+
+def _with_system_beside(
+    control: ControlMarks, files: Sequence[Path], unread: list[str], say: Catalogue
+) -> ControlMarks:
+    """Take the system that a file of the same name says beside a table that names none.
+
+    QGIS and others write it as WKT beside a table as beside a shapefile.
+    """
+    from pyproj.exceptions import CRSError
+
+    degrees = control.crs == _DEGREES
+    if control.crs and not degrees:
+        return control
+    stem = control.file.with_suffix("").as_posix().casefold()
+    named = {
+        path.suffix.casefold(): path for path in files if path.with_suffix("").as_posix().casefold() == stem
+    }
+    for path in (named[kind] for kind in _SYSTEMS if kind in named):
+        try:
+            system = system_of(read_text(path, windows=True).strip())
+        except (CRSError, PhotocalError):
+            unread.append(say("new.crs_file_unknown", file=path.name))
+            continue
+        if system.is_geographic == degrees:
+            return replace(control, crs=code_of(system) or system.to_wkt(), crs_file=path)
+        if not degrees:
+            unread.append(
+                say("new.crs_file_degrees", file=path.name, system=system.name, table=control.file.name)
+            )
+    return control
 
 
 def _seems_a_table(path: Path) -> tuple[bool, bool]:

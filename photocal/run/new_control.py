@@ -135,6 +135,10 @@ def settle(
 def _as_stated(given: ControlMarks, placed: Sequence[ImageFacts], made: NewProject) -> ControlMarks:
     """Control with the unit, the order and the kind of heights that its table states, or pictures show."""
     points, say, file = given.points, made.say, given.file.name
+    if given.crs_file is not None and not made.crs:
+        made.known.append(
+            say("new.crs_file", crs=given.crs, name=system_of(given.crs).name, file=given.crs_file.name)
+        )
     if given.height:
         named = {"head": given.height_head, "file": file}
         if not made.height:

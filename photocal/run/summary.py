@@ -96,9 +96,9 @@ def flown_figures(run: Path) -> dict[str, Any] | None:
 def project_verdict(work: Path, stages: Container[str] | None = None) -> Verdict | None:
     """Give the one verdict over a project: that of its certificate, else over what its stages found.
 
-    returns: none before the block, as it is now, was adjusted.
+    returns: none before the block, as it is now, was adjusted, by these stages.
     """
-    if outdated(work):
+    if outdated(work) or (stages is not None and "calibration" not in stages):
         return None
     certified = read_json(work / "certificate" / "certificate.json")
     if certified is not None and (stages is None or "certificate" in stages):

@@ -6,8 +6,9 @@ import csv
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
-from pyproj import Transformer
+from pyproj import CRS, Transformer
 
 from photocal.findings.texts import catalogue
 from photocal.measurement.marks import read_marks
@@ -307,6 +308,36 @@ def test_the_system_that_a_table_names_is_taken(folder: Path, photocal: Photocal
     (folder / "survey.csv").write_text(text)
     new(photocal, folder)
     assert key(folder, "crs") == "EPSG:31982"
+
+
+@pytest.mark.parametrize(
+    ("file", "system", "crs", "said"),
+    [
+        ("survey.prj", "EPSG:31982", "EPSG:31982", "(SIRGAS 2000 / UTM zone 22S), by survey.prj"),
+        ("SURVEY.QPJ", "EPSG:31982", "EPSG:31982", "by SURVEY.QPJ"),
+        ("survey.prj", "EPSG:4674", "EPSG:32722", "in degrees; the coordinates of survey.csv are not"),
+        ("survey.prj", "", "EPSG:32722", "survey.prj names no coordinate system that is known"),
+        ("area.prj", "EPSG:31983", "EPSG:32722", ""),
+    ],
+)
+def test_the_system_beside_a_table_is_taken(
+    folder: Path, photocal: Photocal, file: str, system: str, crs: str, said: str
+) -> None:
+    (folder / "survey.csv").write_text(table("Name,E,N,Z", "{p},{E},{N},{Z}"))
+    (folder / file).write_text(CRS(system).to_wkt("WKT1_ESRI") if system else "no system")
+    found = new(photocal, folder)
+    assert key(folder, "crs") == crs
+    assert control(folder) == POINTS
+    assert any(line.endswith(said) for line in found["found"] + found["missing"])
+
+
+def test_degrees_are_in_the_datum_beside_the_table(folder: Path, photocal: Photocal) -> None:
+    (folder / "survey.csv").write_text(table("Name,lat,lon,h ell", "{p},{lat},{lon},{Z}"))
+    (folder / "survey.prj").write_text(CRS("EPSG:4618").to_wkt("WKT1_ESRI"))
+    new(photocal, folder)
+    # SAD69 lies some 70 m from WGS 84 in Brazil.
+    away = [np.hypot(*np.subtract(place[:2], POINTS[name][:2])) for name, place in control(folder).items()]
+    assert all(50 < metres < 90 for metres in away)
 
 
 @pytest.mark.parametrize(
