@@ -359,6 +359,8 @@ def _table(path: Path, sizes: Sizes, say: Catalogue) -> ControlMarks:
                 *read_places(path, heads, tuple(_IN_IMAGE), say, degrees=degrees), sizes, say
             )
     table, places, given = read_places(path, HEADS, (), say, degrees=in_degrees(path))
+    # Surveyors of many countries call north X.
+    given = replace(given, unordered=folded(table.heads["X"]) == "x")
     index, names = table.names("point")
     first = np.unique(index, return_index=True)[1]
     roles = _roles(table.texts("role"))[0] if table.has("role") else [None] * len(index)

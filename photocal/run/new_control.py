@@ -15,7 +15,15 @@ from photocal.block.model import NO_POINTS, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.frames import code_of, level_of, system_of, utm_zones
-from photocal.geometry.systems import MapSystem, at_place, called, heights_at, is_meant, missing_grids
+from photocal.geometry.systems import (
+    MapSystem,
+    at_place,
+    called,
+    exchanged_in,
+    heights_at,
+    is_meant,
+    missing_grids,
+)
 from photocal.measurement.control_review import alone, heights_apart, listed, stray_points, stray_text, twins
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.mark_frames import (
@@ -122,6 +130,8 @@ def settle(
     _with_heights(made, placed, matters=matters, flown=flown)
     if made.points.names:
         _with_place(made, given, placed)
+        if not placed and exchanged_in(made.crs, made.points.values[:, :2]):
+            made.doubtful.append(say("new.axes_exchanged", crs=made.crs))
         strays = stray_points(made.points, made.crs)
         made.doubtful += [stray_text(stray, say) for stray in strays.values()]
         here = made.points.only(~np.isin(np.arange(len(made.points.names)), list(strays)))
@@ -153,12 +163,25 @@ def _as_stated(given: ControlMarks, placed: Sequence[ImageFacts], made: NewProje
         if _in_metres(metres, made.crs or given.crs, placed):
             points = metres
             made.known.append(say("new.units_taken", file=file, unit=_unit_named(given.unit_m, say)))
-    if given.unordered and placed and not made.crs and not _system_of(points, placed):
-        turned = replace(points, values=points.values[:, [1, 0, 2]])
-        if _system_of(turned, placed):
-            points = turned
-            made.known.append(say("new.order_turned", file=file))
+    if given.unordered and (shown := _exchanged(points, made.crs or given.crs, placed)):
+        points = replace(points, values=points.values[:, [1, 0, 2]])
+        made.known.append(say(f"new.order_turned_{shown}", file=file))
     return replace(given, points=points)
+
+
+def _exchanged(points: ObjectPoints, crs: str, placed: Sequence[ImageFacts]) -> str:
+    """What shows that north stands before east: positions or the area of the system; empty for nothing."""
+    from pyproj.exceptions import CRSError
+
+    turned = replace(points, values=points.values[:, [1, 0, 2]])
+    try:
+        if placed:
+            system = zone_of(placed) if crs in ("", "local") else crs
+            shown = _lies_among(turned, placed, system) and not _lies_among(points, placed, system)
+            return "pictures" if shown else ""
+        return "area" if exchanged_in(crs, points.values[:, :2]) else ""
+    except CRSError:
+        return ""
 
 
 def _unit_named(metres: float, say: Catalogue) -> str:
@@ -522,13 +545,18 @@ def zone_of(placed: Sequence[ImageFacts]) -> str:
 def _system_of(points: ObjectPoints, placed: Sequence[ImageFacts]) -> str:
     """The zone of the pictures, when the control points lie among them in it; else empty."""
     zone = zone_of(placed)
+    return zone if _lies_among(points, placed, zone) else ""
+
+
+def _lies_among(points: ObjectPoints, placed: Sequence[ImageFacts], crs: str) -> bool:
+    """Whether control points lie among the pictures in a system."""
     try:
-        places = map_places(placed, zone)
+        places = map_places(placed, crs)
     except PhotocalError:
-        return ""
+        return False
     low, high = places[:, :2].min(axis=0), places[:, :2].max(axis=0)
     # Control this near to the pictures' positions is in their zone, m beyond their width.
     reach_m = 200.0
     reach = np.linalg.norm(high - low) + reach_m
     away = np.linalg.norm(np.nanmedian(points.values[:, :2], axis=0) - (low + high) / 2)
-    return zone if away < reach else ""
+    return bool(away < reach)

@@ -331,6 +331,27 @@ def test_the_system_beside_a_table_is_taken(
     assert any(line.endswith(said) for line in found["found"] + found["missing"])
 
 
+@pytest.mark.parametrize("placed", [True, False])
+@pytest.mark.parametrize(
+    ("head", "turned", "said"),
+    [
+        ("name,X,Y,Z", True, "north comes before east in survey.csv"),
+        ("name,E,N,Z", False, "E and N of the"),
+    ],
+)
+def test_north_before_east_is_seen(
+    tmp_path: Path, photocal: Photocal, head: str, placed: bool, turned: bool, said: str
+) -> None:
+    for k in range(3):
+        picture(tmp_path / f"a{k}.jpg", 20.0 * k if placed else None)
+    (tmp_path / "survey.csv").write_text(table(head, "{p},{N},{E},{Z}"))
+    found = new(photocal, tmp_path, "--crs", "EPSG:31982")
+    order = (0, 1, 2) if turned else (1, 0, 2)
+    assert control(tmp_path) == {name: tuple(place[k] for k in order) for name, place in POINTS.items()}
+    (line,) = (one for one in found["found"] + found["doubtful"] if said in one)
+    assert turned or "exchanged" in line
+
+
 def test_degrees_are_in_the_datum_beside_the_table(folder: Path, photocal: Photocal) -> None:
     (folder / "survey.csv").write_text(table("Name,lat,lon,h ell", "{p},{lat},{lon},{Z}"))
     (folder / "survey.prj").write_text(CRS("EPSG:4618").to_wkt("WKT1_ESRI"))
