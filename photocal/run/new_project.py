@@ -110,12 +110,6 @@ def _found(control: ControlMarks) -> str:
     return f"{control.file.name} has {points} points and marks in {pictures} pictures: put them beside it"
 
 
-def _paths(seen: FolderContents, pictures: Path | None) -> list[Path]:
-    """Pictures of the folder, those of the one that is used last."""
-    folders = sorted(seen.pictures, key=lambda where: where == pictures)
-    return [where / image.name for where in folders for image in seen.pictures[where]]
-
-
 def _others(chosen: ChosenPictures) -> frozenset[str]:
     """Pictures of other folders that are called as those that are used, with the names of their folders."""
     used = {image.name for image in chosen.facts}
@@ -223,14 +217,13 @@ class _Text:
         # Where sizes do not tell cameras apart.
         self.listed = frame is not None or len({image.size_px for image in facts}) < len(self.cameras)
         self.placed = [image for image in facts if image.has_position]
-        where = {path.name: path for path in _paths(seen, pictures)}
         stated = sum(np.isfinite(image.position_sigma_m).all() for image in self.placed)
         told_of, self.events = list[str](), list[Path]()
         placing: Sequence[ImageFacts] = facts
         if stated < len(facts) and not (seen.logs or seen.positions):
             self.events, placing = self._events(told_of)
         others = _others(chosen)
-        settle(control, given, made_in, placing, where, flown=bool(seen.logs), others=others)
+        settle(control, given, made_in, placing, chosen.place, flown=bool(seen.logs), others=others)
         self.known, self.missing = control.known, control.missing
         self.known += chosen.known
         self.missing += [*told_of, *chosen.missing]
