@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -310,6 +311,120 @@ def test_the_system_that_a_table_names_is_taken(folder: Path, photocal: Photocal
     assert key(folder, "crs") == "EPSG:31982"
 
 
+def minutes(value: float, letters: str) -> str:
+    """Degrees and decimal minutes with the letter of the hemisphere, positive and negative."""
+    whole = int(abs(value))
+    return f"{whole}° {60 * (abs(value) - whole):.8f}' {letters[value < 0]}"
+
+
+def packed(value: float) -> str:
+    """Degrees, minutes and seconds as one number."""
+    seconds = round(abs(value) * 3600, 6)
+    text = f"{int(seconds // 3600)}{int(seconds % 3600 // 60):02d}{seconds % 60:09.6f}"
+    return text if value > 0 else f"-{text}"
+
+
+@pytest.mark.parametrize("kind", ["minutes", "hyphens", "packed"])
+def test_degrees_in_other_signs(folder: Path, photocal: Photocal, kind: str) -> None:
+    rows = ["name,lat,lon,h ell"]
+    for name, (east, north, up) in POINTS.items():
+        longitude, latitude = TO_DEGREES.transform(east, north)
+        said = {
+            "minutes": [minutes(latitude, "NS"), minutes(longitude, "EW")],
+            "hyphens": [
+                re.sub("[°']", "-", sexagesimal(value, *letters)).replace(" ", "").replace('"', "")
+                for value, letters in ((latitude, "NS"), (longitude, "EW"))
+            ],
+            "packed": [packed(latitude), packed(longitude)],
+        }[kind]
+        rows.append(",".join([name, *said, str(up)]))
+    (folder / "p.csv").write_text("\n".join(rows) + "\n")
+    new(photocal, folder)
+    for name, place in control(folder).items():
+        assert place == pytest.approx(POINTS[name], abs=2e-3)
+
+
+def test_decimal_commas_between_quotes_are_no_thousands(folder: Path, photocal: Photocal) -> None:
+    """Heights such as "913,001" alone would be groups of thousands; eastings and northings are not."""
+    rows = [f'{name},"{e:.3f}","{n:.3f}","{h:.3f}"' for name, (e, n, h) in POINTS.items()]
+    text = "\n".join(["name,E,N,Z", *(row.replace(".", ",") for row in rows)]) + "\n"
+    (folder / "p.csv").write_text(text)
+    new(photocal, folder)
+    for name, place in control(folder).items():
+        assert place == pytest.approx(POINTS[name], abs=1e-3)
+
+
+def test_survey_feet_are_known_by_their_name(folder: Path, photocal: Photocal) -> None:
+    foot = 1200 / 3937
+    heads = ",".join(f"{axis} (US survey ft)" for axis in ("Easting", "Northing", "Elevation"))
+    rows = [",".join([name, *(f"{v / foot:.5f}" for v in place)]) for name, place in POINTS.items()]
+    (folder / "p.csv").write_text("\n".join([f"name,{heads}", *rows]) + "\n")
+    new(photocal, folder)
+    for name, place in control(folder).items():
+        assert place == pytest.approx(POINTS[name], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("head", "control_word", "check_word"),
+    [
+        ("Classe", "Controle", "Checagem"),
+        ("Função", "Ponto de apoio", "Ponto de verificação"),
+        ("Art", "Passpunkt", "Kontrollpunkt"),
+        ("Kind", "GCP", "CP"),
+        ("Role", "Ground control", "Independent check points"),
+    ],
+)
+def test_roles_are_known_by_their_words(
+    folder: Path, photocal: Photocal, head: str, control_word: str, check_word: str
+) -> None:
+    words = {name: check_word if name == "G3" else control_word for name in POINTS}
+    rows = [f"{name},{e},{n},{h},{words[name]}" for name, (e, n, h) in POINTS.items()]
+    (folder / "p.csv").write_text("\n".join([f"name,E,N,Z,{head}", *rows]) + "\n", encoding="utf-8")
+    found = new(photocal, folder)
+    with (folder / "control.csv").open(encoding="utf-8") as made:
+        assert {row["point"] for row in csv.DictReader(made) if row["role"] == "check"} == {"G3"}
+    assert not any("neither control nor check" in line for line in found["doubtful"])
+
+
+def test_a_file_of_check_points_alone_has_no_control(folder: Path, photocal: Photocal) -> None:
+    (folder / "check points.csv").write_text(table("name,E,N,Z", "{p},{E},{N},{Z}"))
+    found = new(photocal, folder)
+    with (folder / "control.csv").open(encoding="utf-8") as made:
+        assert {row["role"] for row in csv.DictReader(made)} == {"check"}
+    assert "all points are check points: none places the block" in found["missing"]
+
+
+@pytest.mark.parametrize("nothing", ["", "-", "n/a", "sem"])
+def test_a_point_without_height_holds_the_plane(folder: Path, photocal: Photocal, nothing: str) -> None:
+    text = table("name,E,N,Z,role", "{p},{E},{N},{Z},", below=f"G5,677850,7184270,{nothing},\n")
+    (folder / "p.csv").write_text(text + f"G6,677851,7184280,{nothing},check\n")
+    found = new(photocal, folder)
+    with (folder / "control.csv").open(encoding="utf-8") as made:
+        rows = {row["point"]: row for row in csv.DictReader(made)}
+    assert set(rows) == {*POINTS, "G5"}
+    assert (float(rows["G5"]["sX"]), rows["G5"]["sZ"]) == (0.02, "")
+    assert "points without height: G5; used in plan only" in found["doubtful"]
+    assert any("Z of G6 is empty" in line for line in found["missing"] + found["doubtful"])
+
+
+def test_names_that_differ_in_capitals_only_are_told(folder: Path, photocal: Photocal) -> None:
+    text = table("name,E,N,Z", "{p},{E},{N},{Z}", below="g1,677868,7184231,912\n")
+    (folder / "p.csv").write_text(text)
+    assert any("G1 and g1 differ in capitals only" in line for line in new(photocal, folder)["doubtful"])
+
+
+@pytest.mark.parametrize(
+    "heads", ["Horizontal accuracy,Vertical accuracy", "HRMS (m),VRMS (m)", "Lateral RMS,Elevation RMS"]
+)
+def test_sigmas_of_the_plane_in_one_column(folder: Path, photocal: Photocal, heads: str) -> None:
+    (folder / "p.csv").write_text(table(f"name,E,N,Z,{heads}", "{p},{E},{N},{Z},0.011,0.019"))
+    new(photocal, folder)
+    with (folder / "control.csv").open(encoding="utf-8") as made:
+        assert {(row["sX"], row["sY"], row["sZ"]) for row in csv.DictReader(made)} == {
+            ("0.0110", "0.0110", "0.0190")
+        }
+
+
 @pytest.mark.parametrize(
     ("file", "system", "crs", "said"),
     [
@@ -364,7 +479,7 @@ def test_degrees_are_in_the_datum_beside_the_table(folder: Path, photocal: Photo
 @pytest.mark.parametrize(
     ("row", "said"),
     [
-        ("G5,677850,7184270,", "line 6: Z of G5 is empty"),
+        ("G5,677850,,912", "line 6: Y of G5 is empty"),
         ("G5,677850,about 7184270,912", "Y of G5 is 'about 7184270', not a number as in the other rows"),
         (",677850,7184270,912", "line 6: the point has no name"),
         ("Average,677850,7184270,912", "line 6: Average is computed from the other rows"),
@@ -382,14 +497,14 @@ def test_a_row_that_is_no_point_is_named_and_costs_nothing_else(
 
 
 def test_rows_that_are_no_points_are_named_in_portuguese(folder: Path, photocal: Photocal) -> None:
-    text = table("name,E,N,Z", "{p},{E},{N},{Z}", below="G1,1,2,3\nG5,1,2,\nSoma,1,2,3\n")
+    text = table("name,E,N,Z", "{p},{E},{N},{Z}", below="G1,1,2,3\nG5,1,,2\nSoma,1,2,3\n")
     (folder / "p.csv").write_text(text)
     found = new(photocal, folder, "--lang", "pt-BR")
     left = [line.split(": ", 2)[2] for line in found["missing"] + found["doubtful"] if "não usado" in line]
     assert sorted(left) == [
         "G1 aparece duas vezes, antes com outras coordenadas",
         "Soma é calculado a partir das outras linhas",
-        "falta Z de G5",
+        "falta Y de G5",
     ]
 
 
