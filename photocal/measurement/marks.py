@@ -196,8 +196,8 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
     from pyproj import Transformer
     from pyproj.exceptions import CRSError
 
-    if given.crs == "local":
-        return given
+    if given.crs in ("", "local"):
+        return replace(given, crs="local")
     try:
         system = system_of(given.crs)
     except CRSError as refusal:
@@ -337,8 +337,8 @@ def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
             "has no placed markers with coordinates", "export the markers as XML", where=path
         )
     crs = (chunk.findtext("reference") or "").strip()
-    local = not crs or crs.startswith("LOCAL_CS")
-    system = "local" if local else crs
+    # Without a reference nobody says what the coordinates count from.
+    system = "local" if crs.startswith("LOCAL_CS") else crs
     return ControlMarks(system, object_points(entries), marks, tuple(bare), assumed=frozenset(assumed))
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from photocal.base.arrays import Floats, Integers
-from photocal.base.errors import InputNotFoundError, PhotocalError
+from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.base.text_tables import TextTable, folded, read_columns, shortened
 from photocal.block.model import ROLES, Block, ObjectPoints, Role
 from photocal.exchange.parts import Mark, PointEntry, object_points
@@ -323,6 +323,14 @@ def _typed_list(path: Path, _: Sizes, say: Catalogue) -> ControlMarks:
     return read_typed_list(path, ASSUMED_M, say)
 
 
+def _headed_list(path: Path, sizes: Sizes, say: Catalogue) -> ControlMarks:
+    """The list of ODM that a spreadsheet has saved: its first line is a system."""
+    first = read_text(path, windows=True).lstrip().partition("\n")[0].strip(" \t,;")
+    if not re.match(r"EPSG[ :=]*\d{4,6}$|\+proj=|WGS84 UTM", first, re.IGNORECASE):
+        raise InputMalformedError("has no system in its first line", "name it there", where=path)
+    return _typed_list(path, sizes, say)
+
+
 def _other_program(path: Path, _: Sizes, __: Catalogue) -> ControlMarks:
     from photocal.exchange.formats import read_foreign_block
 
@@ -567,6 +575,6 @@ _READERS: dict[str, tuple[Callable[[Path, Sizes, Catalogue], ControlMarks], ...]
     ".json": (_one_file,),
     ".psz": (_other_program,),
     ".p4d": (_one_file,),
-    ".csv": (_table, _bare_table, _marks),
+    ".csv": (_table, _headed_list, _bare_table, _marks),
     ".txt": (_typed_list, _table, _bare_table, _marks),
 }

@@ -525,6 +525,39 @@ def test_marks_as_fractions_become_pixels(folder: Path, photocal: Photocal, name
     assert any("between 0 and 1, taken as fractions of width and height" in line for line in found["found"])
 
 
+def test_a_list_of_odm_may_be_a_spreadsheet(folder: Path, photocal: Photocal) -> None:
+    rows = [
+        f"{e},{n},{h},{20 + k}.5,30.5,a{k % 3}.jpg,{p}" for k, (p, (e, n, h)) in enumerate(POINTS.items())
+    ]
+    (folder / "gcp_list.csv").write_text("\n".join(["EPSG:31982,,,,,,", *rows]) + "\n")
+    found = new(photocal, folder)
+    assert control(folder) == POINTS
+    assert key(folder, "crs") == "EPSG:31982"
+    assert any("4 marks in 3 images" in line for line in found["found"])
+
+
+def test_markers_without_a_reference_are_in_the_zone_of_the_pictures(
+    folder: Path, photocal: Photocal
+) -> None:
+    """They were taken for a local system, in which the pictures' positions count for nothing."""
+    places = {name: 'x="{}" y="{}" z="{}"'.format(*place) for name, place in POINTS.items()}
+    markers = "".join(
+        f'<marker id="{k}" label="{name}"><reference {place} enabled="true"/></marker>'
+        for k, (name, place) in enumerate(places.items())
+    )
+    seen = "".join(
+        f'<marker marker_id="{k}"><location camera_id="0" pinned="true" x="{20 + k}" y="30"/></marker>'
+        for k in range(len(places))
+    )
+    (folder / "markers.xml").write_text(
+        f'<document><chunk><cameras><camera id="0" label="a0"/></cameras><markers>{markers}</markers>'
+        f'<frames><frame id="0"><markers>{seen}</markers></frame></frames></chunk></document>'
+    )
+    new(photocal, folder)
+    assert control(folder) == POINTS
+    assert key(folder, "crs") == "EPSG:32722"
+
+
 def test_results_of_mmvii_are_called_so(folder: Path, photocal: Photocal) -> None:
     (folder / "Ori").mkdir()
     pose = '<CameraPose><NameImage>"a0.jpg"</NameImage></CameraPose>'
