@@ -47,8 +47,8 @@ the standard deviations of the adjusted coordinates.
 ## Projects that `photocal adopt` adjusts again
 
 - **Pix4D**: `params` with cameras, `_error`, `offset.xyz`, `tp_bingo`, control and `wkt.prj`; rigs by their
-  poses. Weights of exactly 1 are manual tie points; check points are those of the report
-  (`report/NAME_report`, XML, HTML, text or PDF).
+  poses. Weights of exactly 1 are manual tie points; check points are those of the project file (NAME.p4d
+  beside the folder NAME) and of the report (`report/NAME_report`, XML, HTML, text or PDF).
 - **Metashape**: projects, camera XML with markers and references. Markers whose reference is switched off are
 check points, and so are those that the processing report (PDF, text) lists as such.
 - **ODM, OpenSfM**: `reconstruction.json` with tracks and rigs. Names of `gcp_list.txt` that begin with check
@@ -210,7 +210,7 @@ def _in_any_case(pattern: str) -> str:
 # In the order in which a folder is searched for a project.
 FORMATS: tuple[Format, ...] = (
     Format("pix4d-params", "photocal.exchange.pix4d_project", "Pix4D, params folder", WHOLE, "own", CORNER,
-           VISION, "brown-ideal", "px, m", "read", opens=("*calibrated_camera_parameters.txt",)),
+           VISION, "brown-ideal", "px, m", "read", opens=("*calibrated_camera_parameters.txt", "*.p4d")),
     Format("photoscan", "photocal.exchange.photoscan", "PhotoScan and Metashape, project", WHOLE, "own",
            CORNER, VISION, "brown-ideal", "px, m", "read", opens=("*.psz", "*.psx"), search="*.ps[xz]"),
     Format("opf", "photocal.exchange.opf", "Open Photogrammetry Format 1.0", WHOLE, "cartesian", CORNER,

@@ -288,5 +288,6 @@ def _system(lines: Sequence[Line]) -> tuple[str, list[Line]]:
     try:
         _row(lines[0])
     except InputMalformedError:
-        return _odm_system(lines[0].text), list(lines[1:])
+        # Spreadsheets fill the line up to the width of the others.
+        return _odm_system(lines[0].text.strip(" \t,;")), list(lines[1:])
     return "", list(lines)

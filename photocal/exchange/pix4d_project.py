@@ -25,13 +25,15 @@ from pathlib import Path
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.base.errors import InputMalformedError, InputNotFoundError
+from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, Images
 from photocal.exchange.bingo import in_order, read_bingo
 from photocal.exchange.exporting import Choices, file_name
 from photocal.exchange.foreign_project import ASSUMED_M, ForeignProject, without_weak_points
 from photocal.exchange.parts import PointEntry, block, distinct, object_points, output_system
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, require_one_focal_length, to_pinhole
+from photocal.exchange.pix4d_inputs import SUFFIX as PROJECT
+from photocal.exchange.pix4d_inputs import read_inputs
 from photocal.exchange.rigs import of_poses
 from photocal.exchange.source import Line, decimal_comma, image_size, number, numbers, read_lines
 from photocal.geometry.camera import Camera
@@ -90,7 +92,9 @@ def write(folder: Path, given: Block, _: Choices) -> tuple[Conversion, ...]:
 
 
 def read(path: Path) -> ForeignProject:
-    """Read a params folder by its file of cameras."""
+    """Read a params folder by its file of cameras, or by the project file (.p4d) that it belongs to."""
+    if path.suffix.casefold() == PROJECT:
+        path = _computed_of(path)
     folder = path.parent
     bingo = file_of(folder, BINGO)
     if bingo is None:
@@ -125,8 +129,12 @@ def read(path: Path) -> ForeignProject:
     seen_names, seen, left_out = read_bingo(bingo, image_names, member, cameras, manual.union(control))
     remarks += left_out
     points = sorted(seen_names)
+    checks, checks_told = _checks(folder)
+    remarks += checks_told
     entries = [
-        PointEntry(name, "control", *control[name]) if name in control else PointEntry(name)
+        PointEntry(name, "check" if name in checks else "control", *control[name])
+        if name in control
+        else PointEntry(name)
         for name in points
     ]
     place = np.empty(len(points), dtype=np.int64)
@@ -171,6 +179,37 @@ def read(path: Path) -> ForeignProject:
     return ForeignProject(
         "Pix4D", given, position, sigma, pose_sigma, adjusted, remarks=tuple(remarks), normalised=True
     )
+
+
+def _computed_of(project: Path) -> Path:
+    """The file of cameras that belongs to a project file: in the folder of its name, beside it."""
+    folder = project.parent / project.stem / "1_initial" / "params"
+    cameras = file_of(folder, CAMERAS) if folder.is_dir() else None
+    if cameras is None:
+        raise InputNotFoundError(
+            f"has no ..._{CAMERAS} in {project.stem}/1_initial/params beside it",
+            "name the params folder; points and marks of the file alone are read by photocal new",
+            where=project,
+        )
+    return cameras
+
+
+def _checks(folder: Path) -> tuple[frozenset[str], list[str]]:
+    """Check points of the project file, where it still lies beside its folder."""
+    # NAME.p4d beside NAME/1_initial/params.
+    if len(folder.resolve().parents) < 2:
+        return frozenset(), []
+    root = folder.resolve().parents[1]
+    project = root.parent / f"{root.name}{PROJECT}"
+    if not project.is_file():
+        return frozenset(), []
+    try:
+        points = read_inputs(project, (1.0, 1.0)).points
+    except PhotocalError as refusal:
+        return frozenset(), [str(refusal)]
+    names = frozenset(point.name for point in points if point.role == "check")
+    told = f"{len(names)} check points by {project.name}: {', '.join(sorted(names)[:5])}"
+    return names, [told] if names else []
 
 
 def _offset(folder: Path, names: Sequence[str], local: Floats) -> tuple[Floats, list[str]]:

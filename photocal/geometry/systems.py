@@ -120,6 +120,23 @@ def at_place(latitude: float, longitude: float, places: Floats, most: int = MOST
     return tuple(system for _, system in sorted(found, key=lambda one: one[0])[:most])
 
 
+def exchanged_in(crs: str, places: Floats) -> bool:
+    """Whether places (n, 2) lie in the area of use of a map system only with east and north exchanged."""
+    from pyproj import CRS
+
+    if crs in ("", "local") or not CRS.from_user_input(crs).is_projected:
+        return False
+    known = places[np.isfinite(places).all(axis=1)]
+    way, outside = _to_degrees(crs), list[bool]()
+    for x, y in (known.T, known.T[::-1]) if way is not None else ():
+        longitude, latitude = (np.asarray(value, dtype=np.float64) for value in way.transform(x, y))
+        on_earth = np.isfinite(longitude) & np.isfinite(latitude)
+        away = degrees_outside(crs, np.where(on_earth, latitude, 90.0), np.where(on_earth, longitude, 0.0))
+        # A site at the edge of the area is none elsewhere, deg.
+        outside.append(bool(np.median(np.where(on_earth, away, np.inf)) > 1.0))
+    return outside == [True, False]
+
+
 def covers(system: MapSystem, places: Floats) -> bool:
     """Whether most coordinates lie in the area of use, as they are or east and north exchanged."""
     west, south, east, north = system.bounds

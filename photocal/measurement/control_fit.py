@@ -4,6 +4,7 @@ A block keeps its shape whatever a person has typed. So gross errors of control 
 adjusted: rays of a point must meet, and points that met must lie as surveyed, but for one similarity.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations, islice
 
@@ -31,6 +32,14 @@ MOST_PAIRS, MOST_TRIPLES = 45, 1000
 BENT, STRAY, SURVEYS, PIXELS = 0.01, 5.0, 5.0, 3.0
 # Control contradicts positions that all lie off by so many sigmas, and by so many metres.
 AGAINST, AGAINST_M, AGAINST_UP_M = 6.0, 10.0, 60.0
+# What to do where control as a whole is not used, by the cause.
+_REMEDIES = {
+    "control-few": "mark-control",
+    "control-in-line": "control-off-line",
+    "control-exchanged": "exchange-axes",
+    "control-contradicts-itself": "check-control",
+    "control-refused": "check-control",
+}
 _TIE = ROLES.index("tie")
 _SAME = Similarity(1.0, np.eye(3), np.zeros(3))
 
@@ -338,6 +347,11 @@ def _not_meeting(points: ObjectPoints, rays: _Rays, views: OrientedImages) -> li
     return findings
 
 
+def not_used(why: str, figures: Mapping[str, Figure]) -> Finding:
+    """Say that control as a whole places nothing, and what to do about the cause."""
+    return Finding("control-not-used", "doubtful", figures=figures, cause=why, remedy=_REMEDIES[why])
+
+
 def _sentences(
     fit: _Fit,
     why: str,
@@ -354,7 +368,7 @@ def _sentences(
         if not why or (placed and why == "control-few"):
             return []
         figures: dict[str, Figure] = {"n": float(len(judged)), "all": float(listed)}
-        return [Finding("control-not-used", "doubtful", figures=figures, cause=why)]
+        return [not_used(why, figures)]
     findings = []
     used, middle = judged[fit.fits], views.station.mean(axis=0)
     shift = fit.move.applied(middle) - middle

@@ -93,7 +93,12 @@ def _family(name: str) -> str:
 
 
 def twins(points: ObjectPoints, say: Catalogue) -> Iterator[str]:
-    """Points that stand at one place, or so near that two names may mean one."""
+    """Points that are at one place, or so near that two names may mean one, and names that differ little."""
+    called: dict[str, str] = {}
+    for name in points.names:
+        other = called.setdefault(name.casefold(), name)
+        if other != name:
+            yield say("new.twins_called", one=other, other=name)
     known = np.flatnonzero(np.isfinite(points.values).all(axis=1) & ~points.of_role("tie"))
     if len(known) < 2:
         return

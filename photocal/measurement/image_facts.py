@@ -123,6 +123,13 @@ FIXED, FLOATS = 50, range(32, 50)
 _YOUNG_NS, _MOST_KNOWN = 2_000_000_000, 20_000
 
 
+# Programs that people edit pictures with, as they call themselves in EXIF.
+_EDITORS = re.compile(
+    r"adobe|photoshop|lightroom|gimp|darktable|rawtherapee|capture one|dxo|affinity|luminar|snapseed|acdsee|"
+    r"paint\.net|picasa|irfanview|xnview|imagemagick|photoscape|digikam"
+)
+
+
 @dataclass(frozen=True)
 class ImageFacts:
     """What an image file says of itself.
@@ -221,6 +228,11 @@ class ImageFacts:
 
 # What was read, by path, size, times and number of each file.
 _KNOWN: dict[tuple[str, int, int, int, int], ImageFacts] = {}
+
+
+def is_edited(image: ImageFacts) -> bool:
+    """Whether the program that wrote a picture corrects lenses, crops and scales."""
+    return _EDITORS.search(image.firmware.casefold()) is not None
 
 
 def read_facts(path: Path) -> ImageFacts:

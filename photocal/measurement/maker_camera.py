@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cache
 from importlib import resources
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ from photocal.exchange.pinhole import Pinhole, from_pinhole
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.geometry.distortion import projected, undistorted
-from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.image_facts import ImageFacts, is_edited
 
 # What a parameter may be wrong by, as the shift of a point in the corner of the picture over c: measured for
 # each specimen (10 px of 2000, the worst of a Phantom 4 Multispectral is 7), designed by its maker, read of
@@ -392,6 +393,9 @@ def _frame(pictures: Mapping[Path, ImageFacts], keys: Keys, by: str) -> Iterable
         # A head is one camera.
         if len({_camera_key(pictures[path]) for path, other in head.items() if other == name}) > 1:
             return
+    first = {name: next(pictures[path] for path, other in head.items() if other == name) for name in often}
+    if any(_is_copy(one, other) for one, other in combinations(first.values(), 2)):
+        return
     # Pictures are read by their names.
     if len({path.name for path in head}) < len(head):
         return
@@ -407,6 +411,16 @@ def _frame(pictures: Mapping[Path, ImageFacts], keys: Keys, by: str) -> Iterable
 
 def _camera_key(facts: ImageFacts) -> tuple[object, ...]:
     return facts.make, facts.model, facts.size_px, facts.maker_camera.get("RigCameraIndex", "")
+
+
+def _is_copy(one: ImageFacts, other: ImageFacts) -> bool:
+    """Whether pictures of one camera differ in their size alone, or one is edited: that is a copy."""
+    cameras = [(f.make, f.model, f.serial, f"{f.focal_mm}", _camera_key(f)[-1]) for f in (one, other)]
+    (width, height), (other_width, other_height) = one.size_px, other.size_px
+    # A pixel of rounding.
+    alike = abs(width * other_height - height * other_width) <= max(width, other_width)
+    scaled = alike and width != other_width
+    return cameras[0] == cameras[1] and (scaled or is_edited(one) != is_edited(other))
 
 
 def _together(facts: Sequence[ImageFacts]) -> bool:

@@ -19,6 +19,8 @@ from photocal.block.model import NO_POINTS, Block, ObjectPoints, Role
 from photocal.exchange.ground_points import read_gcp_list, read_gcp_rows
 from photocal.exchange.metashape import markers
 from photocal.exchange.parts import Mark, PointEntry, object_points, require_unique
+from photocal.exchange.pix4d_inputs import SUFFIX as PIX4D
+from photocal.exchange.pix4d_inputs import read_inputs
 from photocal.exchange.source import Line, number, read_json, read_lines, read_xml, require_readable
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
@@ -112,6 +114,7 @@ class ControlMarks:
     unit_m: metres of the unit that heads state.
     height, height_head: kind of the heights where a head says it, and that head.
     level: EPSG code of the system of heights that it names.
+    crs_file: file beside the table that names the system; none where the table itself does.
     unordered: whether no head says which of the coordinates is east.
     """
 
@@ -129,13 +132,16 @@ class ControlMarks:
     height: str = ""
     height_head: str = ""
     level: str = ""
+    crs_file: Path | None = None
     unordered: bool = False
     beside: tuple[Path, ...] = ()
 
 
 def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
-    """Read ODM's gcp_list.txt, Metashape's XML of markers, or OpenSfM's ground_control_points.json."""
+    """Read ODM's gcp_list.txt, Metashape's markers (XML), OpenSfM's control (JSON), or a project of Pix4D."""
     kind = path.suffix.lower()
+    if kind == PIX4D:
+        return _pix4d(path, sigma_m)
     if kind == ".xml":
         return _metashape(path, sigma_m)
     if kind == ".json":
@@ -190,8 +196,8 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
     from pyproj import Transformer
     from pyproj.exceptions import CRSError
 
-    if given.crs == "local":
-        return given
+    if given.crs in ("", "local"):
+        return replace(given, crs="local")
     try:
         system = system_of(given.crs)
     except CRSError as refusal:
@@ -205,18 +211,27 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
         system, points = _of_feet(system, metres, points, given.assumed)
     if not system.is_geographic:
         return replace(given, crs=code_of(system) or given.crs)
-    longitude, latitude = points.values[:, :2].mean(axis=0).tolist()
+    # One point with a wrong sign moves no middle; of one of height alone nobody says where it is.
+    longitude, latitude = np.nanmedian(points.values[:, :2], axis=0).tolist()
     if not (abs(latitude) <= 84 and abs(longitude) <= 180):
         raise ConfigurationError(
             f"control at longitude {longitude:.6f}, latitude {latitude:.6f} is impossible",
             "are latitude and longitude exchanged?",
         )
     name = utm_zones(latitude, longitude)[0]
-    east, north = Transformer.from_crs(system.to_2d(), name, always_xy=True).transform(
-        points.values[:, 0], points.values[:, 1], errcheck=True
-    )
-    values = np.column_stack([east, north, points.values[:, 2]])
-    return replace(given, crs=name, points=replace(points, values=values))
+    way = Transformer.from_crs(system.to_2d(), name, always_xy=True)
+    unknown = np.isnan(points.values[:, :2]).any(axis=1)
+    plane = np.column_stack(way.transform(*points.values[:, :2].T))
+    plane[unknown] = np.nan
+    there = np.isfinite(plane).all(axis=1) | unknown
+    # A projection ends before it reaches the other side of the earth.
+    refused = [
+        f"control point {points.names[k]} at longitude {x:.6f}, latitude {y:.6f} lies outside of {name}"
+        for k, (x, y) in enumerate(points.values[:, :2].tolist())
+        if not there[k]
+    ]
+    moved = replace(points, values=np.column_stack([plane, points.values[:, 2]]))
+    return replace(given, crs=name, points=moved.only(there), refused=(*given.refused, *refused))
 
 
 def unit_m(system: Any) -> float:
@@ -322,9 +337,31 @@ def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
             "has no placed markers with coordinates", "export the markers as XML", where=path
         )
     crs = (chunk.findtext("reference") or "").strip()
-    local = not crs or crs.startswith("LOCAL_CS")
-    system = "local" if local else crs
+    # Without a reference nobody says what the coordinates count from.
+    system = "local" if crs.startswith("LOCAL_CS") else crs
     return ControlMarks(system, object_points(entries), marks, tuple(bare), assumed=frozenset(assumed))
+
+
+def _pix4d(path: Path, sigma_m: Sigma) -> ControlMarks:
+    """Control of a project file; what it says of accuracies is not read."""
+    given = read_inputs(path, _BY_HAND)
+    if not given.points:
+        raise InputMalformedError(
+            "has no surveyed points", "export the marks of tie points as a table", where=path
+        )
+    assumed = np.array([sigma_m[0], *sigma_m])
+    entries = [replace(point, sigma=np.maximum(point.sigma, assumed)) for point in given.points]
+    known = {point.name for point in entries}
+    marks = tuple(mark for mark in given.marks if mark.point in known)
+    return ControlMarks(
+        given.crs,
+        object_points(entries),
+        marks,
+        assumed=frozenset(known),
+        height="orthometric" if given.geoid else "",
+        height_head=given.geoid,
+        level=given.level,
+    )
 
 
 def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:

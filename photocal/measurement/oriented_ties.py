@@ -15,7 +15,7 @@ from photocal.block.model import NO_POINTS, Block, Images
 from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.measurement.control_fit import fit_control
+from photocal.measurement.control_fit import fit_control, not_used
 from photocal.measurement.image_file import left_out_entry
 from photocal.measurement.patch_matching import HALF, ImageSource, refine
 from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties
@@ -100,7 +100,8 @@ def first_orientation(marked: Block, tracks: Tracks, cache: Path | None = None) 
         fits, poses, of_control, controlled = fit_control(first, marked, _views(first))
         if controlled:
             findings = [finding for finding in findings if finding.code not in _WITHOUT_CONTROL]
-        findings += of_control
+        # Why listed control places nothing comes before what follows from it.
+        findings = [*of_control, *findings]
         if len(fits.observations.image):
             first, fits, findings = _with_control(first, fits, poses, findings)
         elif len(first.start.points.names) < len(fits.points.names):
@@ -122,7 +123,7 @@ def _with_control(
         adjusted = adjust_ties(fitted, poses, alone.tracks)
     except PhotocalError as refusal:
         figures = {"refusal": refusal.what}
-        findings.append(Finding("control-not-used", "doubtful", figures=figures, cause="control-refused"))
+        findings.insert(0, not_used("control-refused", figures))
         known = alone.start.points
         return alone, replace(alone.start, points=known.only(known.of_role("tie"))), findings
     return adjusted.after(alone), fitted, findings

@@ -184,7 +184,7 @@ def measure_images(
     options = options or MeasureOptions()
     file, sigma_m, height, crs = options.gcp, options.gcp_sigma_m, options.height, options.crs
     # What is wrong with the file is told before the images are looked at.
-    placed = file is not None and read_control_marks(file, sigma_m, {}).crs != "local"
+    placed = file is not None and read_control_marks(file, sigma_m, {}).crs not in ("", "local")
     if placed and height not in ("ellipsoidal", "orthometric"):
         raise ConfigurationError(
             "does not state its height kind", "give --height ellipsoidal or --height orthometric", where=file

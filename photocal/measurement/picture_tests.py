@@ -13,7 +13,7 @@ from photocal.base.arrays import Floats
 from photocal.findings.finding import Finding, Severity
 from photocal.findings.texts import Catalogue
 from photocal.geometry.smear import SMEAR_LIMIT_PX, smear_px
-from photocal.measurement.image_facts import ImageFacts, camera_temperatures
+from photocal.measurement.image_facts import ImageFacts, camera_temperatures, is_edited
 from photocal.measurement.listed_positions import PICTURE_LATE_M, PICTURE_SIGMA_M, SIGMAS
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.picture_facts import keys_of
@@ -136,7 +136,7 @@ def judge_pictures(facts: Sequence[ImageFacts]) -> list[Finding]:
             findings.append(_about(code, others, facts, "doubtful", told=stated(others[0]), usual=usual))
             left_out = {id(image) for image in others}
             alike = [image for image in alike if id(image) not in left_out]
-    for test in (_fixes, _old_corrections, _smeared, _beside_table):
+    for test in (_edited, _fixes, _old_corrections, _smeared, _beside_table):
         findings += test(facts)
     for code, severity, sign in _SIGNS:
         if shown := [image for image in facts if sign(image)]:
@@ -186,6 +186,12 @@ def _focus(image: ImageFacts) -> str:
     told = [f"{image.focus_m:g} m"] if np.isfinite(image.focus_m) else []
     told += [f"lens position {image.lens_position:g}"] if np.isfinite(image.lens_position) else []
     return ", ".join(told)
+
+
+def _edited(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
+    """Pictures that a program for pictures has written anew."""
+    if group := [image for image in facts if is_edited(image)]:
+        yield _about("pictures-edited", group, facts, "doubtful", program=group[0].firmware)
 
 
 def _fixes(facts: Sequence[ImageFacts]) -> Iterator[Finding]:

@@ -21,8 +21,10 @@ from photocal.measurement.position_files import PLACE_HEADS
 
 # Words of heights; beside one of them, or alone, stands what the heights count from.
 _HEIGHT_WORDS = frozenset(folded(word) for word in PLACE_HEADS["Z"] if " " not in folded(word))
-_ELLIPSOIDAL = re.compile(r"ell?ip\w*|ellis\w*|hae|geometric[ao]")
-_ORTHOMETRIC = re.compile(r"ort?ho\w*|ortom\w*|msl|amsl|nmm|egm\d+|navd\d*|nhn|nap|normal\w*|gebrauchs\w*")
+_ELLIPSOIDAL = re.compile(r"ell?ip\w*|ellis\w*|h?ell|hae|geometric[ao]")
+_ORTHOMETRIC = re.compile(
+    r"ort?h\w*|ortom\w*|msl|amsl|nmm|msnm|egm\d+|navd\d*|dhhn\d*|nhn|nap|normal\w*|gebrauchs\w*"
+)
 # Heads with one of these are of no height.
 _NO_HEIGHT = re.compile(
     r"geoid\w*|undulat\w*|ondul\w*|separation|sigma|sd|std\w*|rms\w*|rmse|accuracy|precision|error|erro|cq|"
@@ -33,9 +35,12 @@ _LEVELS = {"egm96": "5773", "egm2008": "3855", "egm08": "3855", "navd88": "5703"
 # Metres of units, as heads and rows of units write them.
 FOOT_M, SURVEY_FOOT_M = 0.3048, 1200 / 3937
 _UNITS = {
-    "mm": 0.001, "cm": 0.01, "m": 1.0, "metros": 1.0, "meters": 1.0, "metres": 1.0, "ft": FOOT_M,
-    "feet": FOOT_M, "foot": FOOT_M, "ift": FOOT_M, "intft": FOOT_M, "usft": SURVEY_FOOT_M,
-    "ftus": SURVEY_FOOT_M, "sft": SURVEY_FOOT_M,
+    "mm": 0.001, "cm": 0.01, "m": 1.0, "metros": 1.0, "meters": 1.0, "metres": 1.0,
+    **dict.fromkeys(("ft", "feet", "foot", "ift", "intft", "intlft", "internationalft"), FOOT_M),
+    **dict.fromkeys(
+        ("usft", "ftus", "sft", "ussurveyft", "ussurveyfeet", "ussurveyfoot", "surveyft", "surveyfeet"),
+        SURVEY_FOOT_M,
+    ),
 }  # fmt: skip
 # Names of rows that are computed from the others.
 _SUMMARIES = frozenset((
@@ -43,14 +48,17 @@ _SUMMARIES = frozenset((
     "mittel", "mittelwert", "promedio", "std", "stdev", "sd", "min", "max", "minimum", "maximum", "desvio",
     "count",
 ))  # fmt: skip
+# What people write where they have no number.
+_NOTHING = re.compile(r"[-\u2013\u2014?*.]*|n/?[ad]|none|null|nan|sem|s/h", re.IGNORECASE)
 _GROUPED = re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?")
 _COMMA = re.compile(r"[+-]?(\d+|\d{1,3}(\.\d{3})+),\d+")
 _GROUPS_ONLY = re.compile(r"[+-]?\d{1,3}(\.\d{3})+")
 # Blanks and apostrophes between groups of three digits.
 _BLANKS = re.compile(r"(?<=\d)[\s\u00a0\u202f'\u2019](?=\d{3}(\D|$))")
 _SEXAGESIMAL = re.compile(
-    r"(?P<before>[NSEWOL])?\s*(?P<sign>[+-])?\s*(?P<deg>\d{1,3})\s*[°ºd:\s]\s*(?P<min>\d{1,2})\s*['′’m:\s]\s*"
-    r"(?P<sec>\d{1,2}([.,]\d*)?)\s*(\"|''|″|”|s)?\s*(?P<after>[NSEWOL])?",
+    r"(?P<before>[NSEWOL])?\s*(?P<sign>[+-])?\s*(?P<deg>\d{1,3})\s*[°ºd:\s-]\s*"
+    r"(?:(?P<min>\d{1,2})\s*['′’m:\s-]\s*(?P<sec>\d{1,2}([.,]\d*)?)\s*(\"|''|″|”)?|"
+    r"(?P<minutes>\d{1,2}[.,]\d+)\s*['′’m]?)\s*(?P<after>[NSEWOL])?",
     re.IGNORECASE,
 )
 _DECIMAL = re.compile(
@@ -67,8 +75,9 @@ def read_places(
     required: columns that it must have, beside these.
     say: language in which other rows with anything in them are named.
     degrees: whether X and Y are longitude and latitude.
-    returns: its rows that are points; X, Y, Z of these, (n, 3), in the unit of X and Y; and control without
-        points yet: the system that a column names, rows that are refused, unit and heights as heads say them.
+    returns: its rows that are points; X, Y, Z of these, (n, 3), in the unit of X and Y, NaN for a height
+        that nobody gives; and control without points yet: the system that a column names, rows that are
+        refused, unit and heights as heads say them.
     raises InputNotFoundError, InputMalformedError: also when no row is a point with its place.
     """
     height = _height_column(path, heads["Z"])
@@ -83,10 +92,13 @@ def read_places(
             heads_too[key] = f"{head} ({unit})" if _UNITS.get(folded(unit)) else head
         table = replace(table, heads=heads_too)
     stated = {axis: unit_of_head(table.heads[axis]) for axis in "XYZ"}
+    columns = [[_BLANKS.sub("", rows[k][1 + n]) for k in filled] for n in range(3)]
+    # One hand has written all of them: 913,419 alone would be a group of thousands.
+    commas = any(_has_commas(cells, table.separator) for cells in columns[2 if degrees else 0 :])
     parsed = [
-        _values(
-            [rows[k][1 + n] for k in filled], table.separator, table.heads[axis] if degrees and n < 2 else ""
-        )
+        _angles([rows[k][1 + n] for k in filled], table.heads[axis])
+        if degrees and n < 2
+        else [_value(cell, comma=commas and any("," in cell for cell in columns[n])) for cell in columns[n]]
         for n, axis in enumerate("XYZ")
     ]
     kept, refused = list[int](), list[str]()
@@ -96,7 +108,7 @@ def read_places(
             kept.append(n)
         else:
             refused.append(say(f"new.row_{why[0]}", place=table.place(row), **why[1]))
-    if not kept:
+    if not any(parsed[2][n] is not None for n in kept):
         name, *cells = rows[filled[0]] if filled else ("", "", "", "")
         bad = next((n for n, column in enumerate(parsed) if not filled or column[0] is None), 2)
         what = f"{'XYZ'[bad]} of {name or 'the first row'} is {cells[bad]!r}, not a number"
@@ -104,6 +116,7 @@ def read_places(
             f"has no row with a point and its place: {what}", "is it the right file?", where=path
         )
     plane = 1.0 if degrees else (stated["X"] or 1.0)
+    # Without a height it is NaN.
     places = np.array([[column[n] for column in parsed] for n in kept], dtype=np.float64)
     # In one unit; what states none is in that of the others.
     places[:, 2] *= (stated["Z"] or plane) / plane
@@ -214,6 +227,9 @@ def _refusal(row: Sequence[str], values: Sequence[float | None]) -> tuple[str, d
     if folded(name).split(" ")[0] in _SUMMARIES and not re.search(r"\d", name):
         return "summary", {"name": name}
     lacking = [axis for axis, value in zip("XYZ", values, strict=True) if value is None]
+    # A point of the plane has no height.
+    if lacking == ["Z"] and name and _NOTHING.fullmatch(cells[2]):
+        return None
     if lacking:
         cell = dict(zip("XYZ", cells, strict=True))[lacking[0]]
         figures: dict[str, object] = {"name": name or "?", "axis": lacking[0], "cell": repr(cell)}
@@ -221,19 +237,23 @@ def _refusal(row: Sequence[str], values: Sequence[float | None]) -> tuple[str, d
     return None if name else ("nameless", {})
 
 
-def _values(cells: Sequence[str], separator: str, angles: str = "") -> list[float | None]:
-    """Numbers of a column; None for cells that are none.
+def _angles(cells: Sequence[str], head: str) -> list[float | None]:
+    """Degrees of a column of longitudes or latitudes; None for cells that are none."""
+    # O is Ost in German, and west in languages of Latin.
+    west = "WO" if not re.match("lange|laenge|geogr", folded(head)) else "W"
+    return [_degrees(cell, west) for cell in cells]
 
-    angles: head of a column of longitudes or latitudes.
-    """
-    if angles:
-        # O is Ost in German, and west in languages of Latin.
-        west = "WO" if not re.match("lange|laenge|geogr", folded(angles)) else "W"
-        return [_degrees(cell, west) for cell in cells]
+
+def _values(cells: Sequence[str], separator: str) -> list[float | None]:
+    """Numbers of a column; None for cells that are none."""
     plain = [_BLANKS.sub("", cell) for cell in cells]
+    return [_value(cell, comma=_has_commas(plain, separator)) for cell in plain]
+
+
+def _has_commas(cells: Sequence[str], separator: str) -> bool:
+    """Whether numbers without blanks have decimal commas that cannot stand between groups of thousands."""
     grouped = separator == ","
-    comma = any(_COMMA.fullmatch(cell) and not (grouped and _GROUPED.fullmatch(cell)) for cell in plain)
-    return [_value(cell, comma=comma) for cell in plain]
+    return any(_COMMA.fullmatch(cell) and not (grouped and _GROUPED.fullmatch(cell)) for cell in cells)
 
 
 def _value(cell: str, *, comma: bool) -> float | None:
@@ -257,14 +277,24 @@ def _degrees(cell: str, west: str) -> float | None:
 
     west: letters of the western one.
     """
+    # Seconds of 25d26m53.9s; without the d an s is the south.
+    cell = re.sub(r"(?<=[\d.])s", "", cell) if re.match(r"\D*\d+\s*d", cell, re.IGNORECASE) else cell
     if match := _SEXAGESIMAL.fullmatch(cell):
-        minutes, seconds = float(match["min"]), float(match["sec"].replace(",", "."))
+        minutes = float((match["min"] or match["minutes"]).replace(",", "."))
+        seconds = float((match["sec"] or "0").replace(",", "."))
         if minutes >= 60 or seconds >= 60:
             return None
         size = float(match["deg"]) + minutes / 60 + seconds / 3600
         value = -size if match["sign"] == "-" else size
     elif match := _DECIMAL.fullmatch(cell):
         value = float(match["value"].replace(",", "."))
+        # Nothing is so far: degrees, minutes and seconds written as one number.
+        if abs(value) > 180.0:
+            minutes, seconds = abs(value) // 100 % 100, abs(value) % 100
+            size = abs(value) // 10_000 + minutes / 60 + seconds / 3600
+            if minutes >= 60 or seconds >= 60 or size > 180.0:
+                return None
+            value = -size if value < 0 else size
     else:
         return None
     letters = [letter.upper() for letter in (match["before"], match["after"]) if letter]

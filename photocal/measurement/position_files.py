@@ -61,14 +61,30 @@ _METRES = {
         "północ",
     ),
 }  # fmt: skip
+# One sigma for both axes of the plane.
+_PLANE_SIGMA = ("horizontal accuracy", "accuracy horz", "hrms", "lateral rms")
 _DEGREES = {"X": _LONGITUDE, "Y": _LATITUDE}
 PLACE_HEADS = {
     "X": (*_METRES["X"], *_LONGITUDE),
     "Y": (*_METRES["Y"], *_LATITUDE),
     "Z": _HEIGHT,
-    "sX": ("sx", "se", "sigma_x", "sigma_e", "accuracy_x"),
-    "sY": ("sy", "sn", "sigma_y", "sigma_n", "accuracy_y"),
-    "sZ": ("sz", "sh", "su", "sigma_z", "sigma_h", "accuracy_z"),
+    "sX": ("sx", "se", "sigma_x", "sigma_e", "accuracy_x", "easting rms", "std e", *_PLANE_SIGMA),
+    "sY": ("sy", "sn", "sigma_y", "sigma_n", "accuracy_y", "northing rms", "std n", *_PLANE_SIGMA),
+    "sZ": (
+        "sz",
+        "sh",
+        "su",
+        "sigma_z",
+        "sigma_h",
+        "accuracy_z",
+        "vertical accuracy",
+        "accuracy vert",
+        "vrms",
+        "elevation rms",
+        "height rms",
+        "std u",
+        "std z",
+    ),
 }
 IMAGE_HEADS = (
     "image", "imagem", "photo", "foto", "picture", "file", "filename", "arquivo", "imagen", "immagine",

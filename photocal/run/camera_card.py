@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from photocal.findings.texts import Catalogue
-from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.image_facts import ImageFacts, is_edited
 from photocal.measurement.maker_camera import HeadGroup, recognised_heads
 
 # Lenses in the order in which a block is made of their pictures; "" is a camera of one lens.
@@ -39,6 +39,8 @@ ASIDE = {
     "thm": "thumbnails", "thumbnail": "thumbnails", "thumbnails": "thumbnails", "misc": "thumbnails",
     "s": "pictures of the screen", "scr": "pictures of the screen",
 }  # fmt: skip
+# Pictures with a longer pause between them are of two flights, s.
+PAUSE_S = 600.0
 _MEDIA = re.compile(r"(?i)\d{3}_?(media|\d{4})|dji_\d{12}_\d{3}(_.*)?|dcim|panorama|hyperlapse")
 _MISSION = re.compile(r"(?i)dji_\d{12}_\d{3}(_.*)?")
 _NAME = re.compile(r"(?i)(?:dji|\d{3}|pano|max|hyperlapse)_.*?(?:\d{3,5})(?:_([A-Z]+(?:_[A-Z]+)?))?")
@@ -50,7 +52,8 @@ class ChosenPictures:
     """Pictures that a project is made of, and the others.
 
     pictures: under the folder, or the pattern of names, that stands for them alone.
-    folder, facts: of those that are used. frame: where several cameras expose together.
+    folder, facts: of those that are used. place: their files, by name.
+    frame: where several cameras expose together.
     events: lists of exposures that belong to them.
     known, missing: what was sorted, and what is left out that somebody might want, a sentence each.
     """
@@ -58,6 +61,7 @@ class ChosenPictures:
     pictures: dict[Path, tuple[ImageFacts, ...]]
     folder: Path | None
     facts: tuple[ImageFacts, ...]
+    place: Mapping[str, Path]
     frame: HeadGroup | None
     events: tuple[Path, ...]
     known: tuple[str, ...] = ()
@@ -67,21 +71,122 @@ class ChosenPictures:
 def chosen_pictures(
     folder: Path, pictures: Pictures, events: Sequence[Path], say: Catalogue
 ) -> ChosenPictures:
-    """Choose pictures: of a card those of one lens, else the largest folder, or all cameras of a frame."""
+    """Choose pictures: of a card those of one lens, else all of a frame, or one flight of a camera."""
     card = _sorted_card(folder, pictures, events, say)
     if card is not None:
         return card
-    largest = max(pictures, key=lambda where: len(pictures[where]), default=None)
-    facts = pictures[largest] if largest is not None else ()
-    frame = recognised_heads(
-        {where / image.name: image for where, some in pictures.items() for image in some}
-    )
+    paths = {where / image.name: image for where, some in pictures.items() for image in some}
+    frame = recognised_heads(paths)
     if frame is not None:
-        facts = tuple(
-            image for where, some in pictures.items() for image in some if where / image.name in frame.head
+        facts = {path: image for path, image in paths.items() if path in frame.head}
+        root = Path(commonpath([path.parent for path in frame.head]))
+        place = {path.name: path for path in facts}
+        return ChosenPictures(dict(pictures), root, tuple(facts.values()), place, frame, tuple(events))
+    if not pictures:
+        return ChosenPictures({}, None, (), {}, None, tuple(events))
+    return _one_flight(folder, pictures, events, say)
+
+
+def _one_flight(folder: Path, pictures: Pictures, events: Sequence[Path], say: Catalogue) -> ChosenPictures:
+    """Take the largest folder, and others of its camera and flight: cards begin new ones as they fill."""
+    # Of copies those that nobody has edited.
+    order = sorted(
+        pictures, key=lambda where: (sum(map(is_edited, pictures[where])), len(where.parts), where)
+    )
+    largest = max(order, key=lambda where: len(pictures[where]))
+    own = set(map(_camera, pictures[largest]))
+    whole = [
+        where
+        for where, some in pictures.items()
+        if where != largest
+        and any(map(any, own))
+        and not any(_aside(folder, where / image.name) for image in some)
+    ]
+    copies = [where for where in whole if _again(pictures[where], pictures[largest])]
+    whole = [where for where in whole if where not in copies]
+    alike = [where for where in whole if own.issuperset(map(_camera, pictures[where]))]
+    joined = _joined(largest, alike, pictures)
+    paths = {where / image.name: image for where, some in pictures.items() for image in some}
+    pattern, taken, apart = _readable([path for path in paths if path.parent in joined], paths)
+    missing = [say("new.card_apart", folder=where.relative_to(folder).as_posix()) for where in sorted(apart)]
+    missing += [
+        say(
+            "new.folder_copies",
+            n=len(pictures[where]),
+            folder=where.relative_to(folder).as_posix(),
+            used=largest.relative_to(folder).as_posix(),
         )
-        largest = Path(commonpath([path.parent for path in frame.head]))
-    return ChosenPictures(dict(pictures), largest, facts, frame, tuple(events))
+        for where in copies
+    ]
+    for where in (where for where in whole if where not in joined):
+        both, fits, _ = _readable([path for path in paths if path.parent in (*joined, where)], paths)
+        if any(path.parent == where for path in fits):
+            told = {"n": len(pictures[where]), "folder": where.relative_to(folder).as_posix()}
+            told |= {"both": both.relative_to(folder).as_posix(), "camera": _called(pictures[where][0])}
+            hours = _pause_s(pictures[where], pictures[largest]) / 3600
+            key = "new.folder_flight" if where in alike else "new.folder_camera"
+            missing.append(say(key, hours=say.fixed(hours, 1), **told))
+    used = {path.parent for path in taken}
+    left = {where: some for where, some in pictures.items() if where not in used}
+    known = []
+    if len(used) > 1:
+        names = ", ".join(sorted(where.relative_to(folder).as_posix() for where in used))
+        known.append(say("new.folders_joined", n=len(used), names=names))
+    facts, place = tuple(paths[path] for path in taken), {path.name: path for path in taken}
+    return ChosenPictures(
+        {pattern: facts, **left}, pattern, facts, place, None, tuple(events), tuple(known), tuple(missing)
+    )
+
+
+def _joined(largest: Path, alike: Sequence[Path], pictures: Pictures) -> list[Path]:
+    """The folders that belong to the flight of the largest one, directly or by another."""
+    joined, waiting = [largest], list(alike)
+    while near := [
+        where for where in waiting if any(_pause_s(pictures[where], pictures[of]) <= PAUSE_S for of in joined)
+    ]:
+        joined += near
+        waiting = [where for where in waiting if where not in near]
+    return joined
+
+
+def _camera(image: ImageFacts) -> tuple[str, ...]:
+    """What a picture says of its camera; empty texts where it says nothing."""
+    band = image.maker_camera.get("RigCameraIndex", "")
+    size = "x".join(map(str, image.size_px)) if image.make or image.model else ""
+    return image.make, image.model, image.serial, str(band), size
+
+
+def _called(image: ImageFacts) -> str:
+    return " ".join(filter(None, (image.model or image.make, image.serial))) or "?"
+
+
+def _again(some: Sequence[ImageFacts], others: Sequence[ImageFacts]) -> bool:
+    """Whether most of some pictures are exposures of the others: copies under other names."""
+    exposures = {_exposure(image) for image in others if image.taken}
+    return 2 * sum(_exposure(image) in exposures for image in some) > len(some)
+
+
+def _exposure(image: ImageFacts) -> tuple[str, float, float]:
+    """When and where a picture was taken."""
+    place = (image.latitude_deg, image.longitude_deg) if image.has_position else (0.0, 0.0)
+    return image.taken, *place
+
+
+def _pause_s(some: Sequence[ImageFacts], others: Sequence[ImageFacts]) -> float:
+    """Seconds between the end of one set of pictures and the begin of the other; none without times."""
+    times = [sorted(image.taken for image in facts if image.taken) for facts in (some, others)]
+    if not all(times):
+        return 0.0
+    first, then = sorted(times)
+    return max(_apart_s(first[-1], then[0]), 0.0)
+
+
+def _readable(wanted: Sequence[Path], paths: Mapping[Path, ImageFacts]) -> tuple[Path, list[Path], set[Path]]:
+    """The folder or pattern of names for pictures, those that it stands for, and folders of the others."""
+    kept, twice = _once(wanted)
+    pattern = _pattern(kept, paths.keys() - set(kept))
+    taken = [path for path in kept if path.parent == pattern or _fits(path, pattern)]
+    return pattern, taken, {path.parent for path in (set(kept) - set(taken)) | twice}
 
 
 def _sorted_card(
@@ -107,35 +212,33 @@ def _sorted_card(
         say("new.card_aside", n=len(some), kind=say(f"new.told.{kind}"))
         for kind, some in sorted(aside.items())
     ]
-    missing, sets = list[str](), dict[Path, tuple[ImageFacts, ...]]()
+    missing, sets, place = list[str](), dict[Path, tuple[ImageFacts, ...]](), dict[str, Path]()
     for lens in sorted(lenses, key=lambda lens: (_place(lens), lens)):
-        kept, twice = _once(lenses[lens])
-        pattern = _pattern(kept, paths.keys() - set(kept))
-        taken = [path for path in kept if path.parent == pattern or _fits(path, pattern)]
+        pattern, taken, apart = _readable(lenses[lens], paths)
         sets[pattern] = tuple(paths[path] for path in taken)
+        place = place or {path.name: path for path in taken}
         known.append(_sentence(lens, {path: paths[path] for path in taken}, say))
         missing += [
-            say("new.card_apart", folder=where.relative_to(folder).as_posix())
-            for where in sorted({path.parent for path in (set(kept) - set(taken)) | twice})
+            say("new.card_apart", folder=where.relative_to(folder).as_posix()) for where in sorted(apart)
         ]
     first = next(iter(sets))
     # Each list counts its own flight; pictures of another have the same numbers.
     own = tuple(path for path in events if path.parent in (first, first.parent))
     if len(own) < len(events) and not all(np.isfinite(image.position_sigma_m).all() for image in sets[first]):
         missing.append(say("new.card_events"))
-    return ChosenPictures(sets, first, sets[first], None, own, tuple(known), tuple(dict.fromkeys(missing)))
+    return ChosenPictures(
+        sets, first, sets[first], place, None, own, tuple(known), tuple(dict.fromkeys(missing))
+    )
 
 
 def flights_of(pictures: Mapping[Path, ImageFacts]) -> tuple[tuple[ImageFacts, ...], ...]:
     """Pictures by flight: between two lies a pause, or another folder of a mission."""
     timed = sorted(pictures, key=lambda path: (pictures[path].taken, path))
     flights, last, where = list[list[ImageFacts]](), "", Path()
-    # Pictures with a longer pause between them are of two flights, s.
-    pause_s = 600.0
     for path in timed:
         image = pictures[path]
         other = path.parent != where and bool(_MISSION.fullmatch(path.parent.name))
-        if not flights or other or (last and image.taken and _apart_s(last, image.taken) > pause_s):
+        if not flights or other or (last and image.taken and _apart_s(last, image.taken) > PAUSE_S):
             flights.append([])
         flights[-1].append(image)
         last, where = image.taken, path.parent

@@ -282,13 +282,20 @@ def run_one(
         say(f"{project.name}: {result.name}: " + ("kept" if result.kept else f"{result.seconds:.1f} s"))
         for line in result.foreign:
             say(f"{project.name}: {result.name}: {line}")
+        if result.name == "control":
+            # Before the work that it may make useless.
+            warn({result.name})
+
+    def warn(stages: Container[str]) -> None:
+        """Say what some stages found doubtful."""
+        for warning in by_methods(gather(project.output, stages)):
+            text = finding_text(warning, catalogue("en"), plain)
+            say(f"{project.name}: {kind(warning)}: {warning.code}: {text}")
 
     try:
         run_project(project, day, progress, until, again, rehash, report, bar)
     except PhotocalError:
         # What other stages found doubtful is often why one cannot go on.
-        for warning in by_methods(gather(project.output, {result.name for result in made})):
-            text = finding_text(warning, catalogue("en"), plain)
-            say(f"{project.name}: {kind(warning)}: {warning.code}: {text}")
+        warn({result.name for result in made} - {"control"})
         raise
     return summary(project.name, project.output, made)

@@ -7,6 +7,7 @@ from typing import Any
 from photocal.base.errors import PhotocalError
 from photocal.base.files import write_json
 from photocal.base.progress import Progress
+from photocal.findings.finding import Finding
 from photocal.project import Project
 from photocal.run.stage import Stage
 
@@ -56,6 +57,8 @@ def control_figures(project: Project) -> dict[str, Any]:
             # Its marks are named as those of a picture that cannot be used.
             continue
     used, frame, unused, findings = settle_marks(marks, points.names, facts, pictures)
+    if file is not None and not file.exists() and not project.control.targets and len(points.names):
+        findings.append(Finding("marks-absent", "doubtful", file.name))
     strays = stray_points(points, project.crs).values()
     lost, say = [finding for _, finding in unused], catalogue("en")
     return {

@@ -11,13 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from photocal.base.arrays import Floats, Integers
-from photocal.base.errors import InputNotFoundError, PhotocalError
-from photocal.base.text_tables import TextTable, folded, shortened
+from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.base.text_tables import TextTable, folded, read_columns, shortened
 from photocal.block.model import ROLES, Block, ObjectPoints, Role
 from photocal.exchange.parts import Mark, PointEntry, object_points
-from photocal.exchange.source import number, read_lines
+from photocal.exchange.source import number, read_lines, read_text
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
+from photocal.geometry.frames import code_of, system_of
+from photocal.measurement.control_review import listed
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES, require_names
 from photocal.measurement.marks import (
@@ -54,12 +56,24 @@ _MARKED_HEADS = (
     {**HEADS, **_IN_IMAGE, "X": HEADS["X"][1:], "Y": HEADS["Y"][1:]},
     {**HEADS, **_IN_IMAGE, "x": _IN_IMAGE["x"][1:], "y": _IN_IMAGE["y"][1:]},
 )
+# Words of check points in the names of files, and of roles as people write them.
 CHECKS = ("check", "checagem", "verificação", "verificacao", "checkpoint", "check point", "chk")
-_CONTROLS = ("control", "controle", "apoio", "gcp", "control point", "3d gcp")
+_CHECK_ROLES = (
+    *CHECKS, "independent check", "independent check point", "ponto de verificação", "ponto de checagem",
+    "pv", "contrôle", "point de contrôle", "chequeo", "punto de chequeo", "comprobación", "kontrollpunkt",
+    "prüfpunkt",
+)  # fmt: skip
+_CONTROLS = (
+    "control", "controle", "apoio", "gcp", "control point", "3d gcp", "ground control",
+    "ground control point", "ponto de apoio", "ponto de controle", "pa", "apoyo", "punto de apoyo",
+    "point d appui", "calage", "passpunkt",
+)  # fmt: skip
 # A check point beside "gcp", a control point beside "check", and alone it may be either.
 _EITHER = "cp"
 _LOGS, _RAW_LOGS = (".mcap",), (".tlog", ".bin", ".ulg", ".ubx")
-_TABLES = (".csv", ".txt")
+# What a table in degrees is taken for, and files that name the system of a table, the best first.
+_DEGREES, _SYSTEMS = "EPSG:4326", (".qpj", ".prj", ".wkt")
+_TABLES, _PROJECTS = (".csv", ".txt"), (".p4d", ".psz")
 _NO_TEXTS = (".xlsx", ".xls", ".ods", ".kml", ".kmz", ".shp", ".gpkg", ".dxf", ".gpx")
 # Who speaks of pictures does so at once.
 _HEAD_BYTES = 1 << 16
@@ -134,10 +148,8 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
             if placed is not seen.pictures:
                 seen.positions.append(path)
             seen.pictures = placed
-        elif kind in (*_TABLES, ".xml", ".json", ".psz"):
-            control = _control(path, sizes, seen.unread, say)
-            if control is not None:
-                (seen.control if control.points.names else seen.marks).append(control)
+        elif kind in _READERS:
+            _with_control(path, files, sizes, seen, say)
     # Whoever has points in one of these finds no word of them otherwise.
     sheets = [path for path in files if path.suffix.lower() in _NO_TEXTS and not seen.control]
     seen.unread += [say("new.no_text", place=path) for path in sheets]
@@ -232,6 +244,19 @@ def _files(folder: Path, depth: int, been: set[Path]) -> Iterator[Path]:
             yield from _files(path, depth - 1, been)
 
 
+def _with_control(
+    path: Path, files: Sequence[Path], sizes: Sizes, seen: FolderContents, say: Catalogue
+) -> None:
+    """Control or marks of a file, if it has them."""
+    control = _control(path, sizes, seen.unread, say)
+    if control is None:
+        return
+    if control.points.names:
+        seen.control.append(_with_system_beside(control, files, seen.unread, say))
+    else:
+        seen.marks.append(control)
+
+
 def _control(path: Path, sizes: Sizes, unread: list[str], say: Catalogue) -> ControlMarks | None:
     """Control or marks of a file; None for one that has neither. What looks like them tells why not."""
     refusals = []
@@ -250,10 +275,42 @@ def _control(path: Path, sizes: Sizes, unread: list[str], say: Catalogue) -> Con
     cells = set(re.split(r"[\s,;\"]+", path.read_bytes()[:_HEAD_BYTES].decode("latin-1")))
     named = any(name in cells or Path(name).stem in cells for name in sizes)
     headed, lists_places = _seems_a_table(path) if path.suffix.lower() in _TABLES else (False, False)
-    if refusals and (named or lists_places or any(word in path.stem.lower() for word in words)):
+    meant = path.suffix.lower() in _PROJECTS or any(word in path.stem.lower() for word in words)
+    if refusals and (named or lists_places or meant):
         # What heads its columns is no list of ODM's.
         unread.append(str(refusals[_READERS[path.suffix.lower()].index(_table)] if headed else refusals[0]))
     return None
+
+
+def _with_system_beside(
+    control: ControlMarks, files: Sequence[Path], unread: list[str], say: Catalogue
+) -> ControlMarks:
+    """Take the system that a file of the same name says beside a table that names none.
+
+    QGIS and others write it as WKT beside a table as beside a shapefile.
+    """
+    from pyproj.exceptions import CRSError
+
+    degrees = control.crs == _DEGREES
+    if control.crs and not degrees:
+        return control
+    stem = control.file.with_suffix("").as_posix().casefold()
+    named = {
+        path.suffix.casefold(): path for path in files if path.with_suffix("").as_posix().casefold() == stem
+    }
+    for path in (named[kind] for kind in _SYSTEMS if kind in named):
+        try:
+            system = system_of(read_text(path, windows=True).strip())
+        except (CRSError, PhotocalError):
+            unread.append(say("new.crs_file_unknown", file=path.name))
+            continue
+        if system.is_geographic == degrees:
+            return replace(control, crs=code_of(system) or system.to_wkt(), crs_file=path)
+        if not degrees:
+            unread.append(
+                say("new.crs_file_degrees", file=path.name, system=system.name, table=control.file.name)
+            )
+    return control
 
 
 def _seems_a_table(path: Path) -> tuple[bool, bool]:
@@ -276,6 +333,14 @@ def _one_file(path: Path, sizes: Sizes, _: Catalogue) -> ControlMarks:
 
 def _typed_list(path: Path, _: Sizes, say: Catalogue) -> ControlMarks:
     return read_typed_list(path, ASSUMED_M, say)
+
+
+def _headed_list(path: Path, sizes: Sizes, say: Catalogue) -> ControlMarks:
+    """The list of ODM that a spreadsheet has saved: its first line is a system."""
+    first = read_text(path, windows=True).lstrip().partition("\n")[0].strip(" \t,;")
+    if not re.match(r"EPSG[ :=]*\d{4,6}$|\+proj=|WGS84 UTM", first, re.IGNORECASE):
+        raise InputMalformedError("has no system in its first line", "name it there", where=path)
+    return _typed_list(path, sizes, say)
 
 
 def _other_program(path: Path, _: Sizes, __: Catalogue) -> ControlMarks:
@@ -325,6 +390,8 @@ def _table(path: Path, sizes: Sizes, say: Catalogue) -> ControlMarks:
                 *read_places(path, heads, tuple(_IN_IMAGE), say, degrees=degrees), sizes, say
             )
     table, places, given = read_places(path, HEADS, (), say, degrees=in_degrees(path))
+    # Surveyors of many countries call north X.
+    given = replace(given, unordered=folded(table.heads["X"]) == "x")
     index, names = table.names("point")
     first = np.unique(index, return_index=True)[1]
     roles = _roles(table.texts("role"))[0] if table.has("role") else [None] * len(index)
@@ -334,7 +401,7 @@ def _table(path: Path, sizes: Sizes, say: Catalogue) -> ControlMarks:
         else _again(table.place(row), names[place], say, same=same)
         for row, place in enumerate(index.tolist())
         if first[place] != row
-        for same in [bool((places[row] == places[first[place]]).all())]
+        for same in [bool(np.array_equal(places[row], places[first[place]], equal_nan=True))]
     ]
     return _of_table(table, places[first], replace(given, refused=(*given.refused, *again)), first, say)
 
@@ -345,7 +412,7 @@ def _of_marked_table(
     """Points and marks of a table with a row for each mark; a row that contradicts one before is refused."""
     (index, names), (image, images) = table.names("point"), table.names("image")
     first = np.unique(index, return_index=True)[1]
-    moved = np.any(places != places[first[index]], axis=1)
+    moved = np.any((places != places[first[index]]) & ~np.isnan(places), axis=1)
     pixels = from_corner(table.matrix("xy"))
     marks, refused = dict[tuple[str, str], Mark](), list(given.refused)
     for row, (i, j, (x, y)) in enumerate(zip(image, index, pixels.tolist(), strict=True)):
@@ -372,23 +439,37 @@ def _of_table(
             for name, assumed in zip(("sX", "sY", "sZ"), (ASSUMED_M[0], *ASSUMED_M), strict=True)
         ]
     )
+    words = _role_words(table)
     roles = ["control"] * len(names)
-    if table.has("role"):
-        words = table.texts("role")
+    if words:
         meant, known = _roles(words)
         roles = [meant[row] for row in rows]
-        unclear = [row for row in rows.tolist() if words[row].lower() not in known]
-        either = [row for row in unclear if words[row].lower() == _EITHER]
+        unclear = [row for row in rows.tolist() if _role_word(words[row]) not in known]
+        either = [row for row in unclear if _role_word(words[row]) == _EITHER]
         told = [say("new.role_either", place=table.place(row), role=words[row]) for row in either[:1]]
         # Under other heads stand kinds of all sorts.
-        if folded(table.heads["role"]) == "role":
+        if table.has("role") and folded(table.heads["role"]) == "role":
             others = [row for row in unclear if row not in either]
             told += [say("new.role_unknown", place=table.place(row), role=words[row]) for row in others]
         given = replace(given, doubtful=tuple(told))
+    # Of the plane alone: a height to start from, which counts for nothing.
+    plane = np.isnan(places[:, 2])
+    places = np.column_stack([places[:, :2], np.where(plane, np.nanmedian(places[:, 2]), places[:, 2])])
+    sigma[plane, 2] = np.inf
+    checks = np.array(roles) == "check"
+    lost, used = plane & checks, plane & ~checks
+    if used.any():
+        told_of = listed([names[k] for k in np.flatnonzero(used)], say)
+        given = replace(given, doubtful=(*given.doubtful, say("new.plane_only", names=told_of)))
+    cells = [(table.place(rows[k]), names[k]) for k in np.flatnonzero(lost)]
+    given = replace(
+        given,
+        refused=(*given.refused, *(say("new.row_empty", place=p, name=n, axis="Z") for p, n in cells)),
+    )
     sigma[np.array(roles) == "check"] = np.where(stated, sigma[np.array(roles) == "check"], np.inf)
     role = np.array([ROLES.index(name) for name in roles], dtype=np.int64)
-    points = ObjectPoints(names, places, sigma, role)
-    return replace(given, points=points, assumed=frozenset(() if stated else names))
+    points = ObjectPoints(names, places, sigma, role).only(~lost)
+    return replace(given, points=points, assumed=frozenset(() if stated else points.names))
 
 
 def _sigma(table: TextTable, name: str, unit_m: float, assumed: float) -> Floats:
@@ -396,6 +477,12 @@ def _sigma(table: TextTable, name: str, unit_m: float, assumed: float) -> Floats
     cells = table.numbers(name, empty=np.nan)
     stated = unit_of_head(table.heads[name]) if table.has(name) else None
     return np.where(np.isnan(cells), assumed, cells * (stated or unit_m) / unit_m)
+
+
+def named_as_checks(file: Path) -> bool:
+    """Whether the name of a table says that it has check points, and says nothing of control."""
+    stem = folded(file.stem)
+    return any(word in stem for word in CHECKS) and not re.search("contro|gcp|apoio|apoyo", stem)
 
 
 def named_checks(given: ControlMarks) -> ControlMarks:
@@ -406,13 +493,35 @@ def named_checks(given: ControlMarks) -> ControlMarks:
     return replace(given, points=replace(points, sigma=np.where(stated, points.sigma, np.inf), role=role))
 
 
+def _role_words(table: TextTable) -> Sequence[str]:
+    """The column of the roles: that of its head, else the one whose words are all of roles; none without."""
+    if table.has("role"):
+        return table.texts("role")
+    whole = read_columns(table.path).columns
+    for cells in whole.columns:
+        column = [str(cell or "") for cell in cells.to_pylist()]
+        column = [column[row] for row in table.kept] if table.kept else column
+        told = set(map(_role_word, column))
+        checks = not told.isdisjoint(_CHECK_ROLES) or (_EITHER in told and not told.isdisjoint(_CONTROLS))
+        if checks and told <= {"", _EITHER, *_CHECK_ROLES, *_CONTROLS}:
+            return column
+    return ()
+
+
+def _role_word(text: str) -> str:
+    """A word of a role as it is compared: "Check_Points" is "check point"."""
+    word = " ".join(re.split(r"[\W_]+", text.lower())).strip()
+    return word.removesuffix("s") if word not in (*_CHECK_ROLES, *_CONTROLS) else word
+
+
 def _roles(words: Sequence[str]) -> tuple[list[Role], frozenset[str]]:
     """What the words of a table mean, row by row, and those that leave no doubt."""
-    told = {word.lower() for word in words}
-    checks = {*CHECKS, *({_EITHER} if told.isdisjoint(CHECKS) else ())}
-    clear = not told.isdisjoint(CHECKS) or not told.isdisjoint(_CONTROLS)
-    roles: list[Role] = ["check" if word.lower() in checks else "control" for word in words]
-    return roles, frozenset({"", *CHECKS, *_CONTROLS, *({_EITHER} if clear else ())})
+    plain = list(map(_role_word, words))
+    told = set(plain)
+    checks = {*_CHECK_ROLES, *({_EITHER} if told.isdisjoint(_CHECK_ROLES) else ())}
+    clear = not told.isdisjoint(_CHECK_ROLES) or not told.isdisjoint(_CONTROLS)
+    roles: list[Role] = ["check" if word in checks else "control" for word in plain]
+    return roles, frozenset({"", *_CHECK_ROLES, *_CONTROLS, *({_EITHER} if clear else ())})
 
 
 def _bare_table(path: Path, sizes: Sizes, say: Catalogue) -> ControlMarks:
@@ -477,6 +586,7 @@ _READERS: dict[str, tuple[Callable[[Path, Sizes, Catalogue], ControlMarks], ...]
     ".xml": (_one_file, _micmac, _other_program),
     ".json": (_one_file,),
     ".psz": (_other_program,),
-    ".csv": (_table, _bare_table, _marks),
+    ".p4d": (_one_file,),
+    ".csv": (_table, _headed_list, _bare_table, _marks),
     ".txt": (_typed_list, _table, _bare_table, _marks),
 }

@@ -15,7 +15,15 @@ from photocal.block.model import NO_POINTS, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.frames import code_of, level_of, system_of, utm_zones
-from photocal.geometry.systems import MapSystem, at_place, called, heights_at, is_meant, missing_grids
+from photocal.geometry.systems import (
+    MapSystem,
+    at_place,
+    called,
+    exchanged_in,
+    heights_at,
+    is_meant,
+    missing_grids,
+)
 from photocal.measurement.control_review import alone, heights_apart, listed, stray_points, stray_text, twins
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.mark_frames import (
@@ -122,6 +130,8 @@ def settle(
     _with_heights(made, placed, matters=matters, flown=flown)
     if made.points.names:
         _with_place(made, given, placed)
+        if not placed and exchanged_in(made.crs, made.points.values[:, :2]):
+            made.doubtful.append(say("new.axes_exchanged", crs=made.crs))
         strays = stray_points(made.points, made.crs)
         made.doubtful += [stray_text(stray, say) for stray in strays.values()]
         here = made.points.only(~np.isin(np.arange(len(made.points.names)), list(strays)))
@@ -135,6 +145,10 @@ def settle(
 def _as_stated(given: ControlMarks, placed: Sequence[ImageFacts], made: NewProject) -> ControlMarks:
     """Control with the unit, the order and the kind of heights that its table states, or pictures show."""
     points, say, file = given.points, made.say, given.file.name
+    if given.crs_file is not None and not made.crs:
+        made.known.append(
+            say("new.crs_file", crs=given.crs, name=system_of(given.crs).name, file=given.crs_file.name)
+        )
     if given.height:
         named = {"head": given.height_head, "file": file}
         if not made.height:
@@ -149,12 +163,25 @@ def _as_stated(given: ControlMarks, placed: Sequence[ImageFacts], made: NewProje
         if _in_metres(metres, made.crs or given.crs, placed):
             points = metres
             made.known.append(say("new.units_taken", file=file, unit=_unit_named(given.unit_m, say)))
-    if given.unordered and placed and not made.crs and not _system_of(points, placed):
-        turned = replace(points, values=points.values[:, [1, 0, 2]])
-        if _system_of(turned, placed):
-            points = turned
-            made.known.append(say("new.order_turned", file=file))
+    if given.unordered and (shown := _exchanged(points, made.crs or given.crs, placed)):
+        points = replace(points, values=points.values[:, [1, 0, 2]])
+        made.known.append(say(f"new.order_turned_{shown}", file=file))
     return replace(given, points=points)
+
+
+def _exchanged(points: ObjectPoints, crs: str, placed: Sequence[ImageFacts]) -> str:
+    """What shows that north stands before east: positions or the area of the system; empty for nothing."""
+    from pyproj.exceptions import CRSError
+
+    turned = replace(points, values=points.values[:, [1, 0, 2]])
+    try:
+        if placed:
+            system = zone_of(placed) if crs in ("", "local") else crs
+            shown = _lies_among(turned, placed, system) and not _lies_among(points, placed, system)
+            return "pictures" if shown else ""
+        return "area" if exchanged_in(crs, points.values[:, :2]) else ""
+    except CRSError:
+        return ""
 
 
 def _unit_named(metres: float, say: Catalogue) -> str:
@@ -327,7 +354,7 @@ def _out_of_degrees(made: NewProject, written: str) -> None:
     from pyproj.exceptions import CRSError
 
     xy, named = made.points.values[:, :2], called(made.crs, None) if made.crs else ()
-    if not len(xy) or not made.crs or not written or not bool((np.abs(xy) <= [180.0, 90.0]).all()):
+    if not made.crs or not written or not _in_degrees(xy):
         return
     try:
         given = system_of(written)
@@ -340,10 +367,16 @@ def _out_of_degrees(made: NewProject, written: str) -> None:
         return
     way = Transformer.from_crs(given.to_2d(), plane, always_xy=True)
     places = np.column_stack(way.transform(*xy.T))
-    if np.isfinite(places).all():
+    if np.isfinite(places[np.isfinite(xy).all(axis=1)]).all():
         values = np.column_stack([places, made.points.values[:, 2]])
         made.points = replace(made.points, values=values)
         made.known.append(made.say("new.crs_degrees", crs=made.crs))
+
+
+def _in_degrees(xy: Floats) -> bool:
+    """Whether all places that are known may be longitudes and latitudes."""
+    known = xy[np.isfinite(xy).all(axis=1)]
+    return bool(len(known)) and bool((np.abs(known) <= [180.0, 90.0]).all())
 
 
 def _is_geocentric(places: Floats) -> bool:
@@ -362,7 +395,7 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
     if text.strip().lower() == "local":
         return "local"
     xy, say = made.points.values[:, :2], made.say
-    degrees = bool(len(xy)) and bool((np.abs(xy) <= [180.0, 90.0]).all())
+    degrees = _in_degrees(xy)
     try:
         system = system_of(text)
     except CRSError:
@@ -384,7 +417,11 @@ def _resolved(made: NewProject, text: str, placed: Sequence[ImageFacts], *, plac
             local = say("new.or_local")
             made.asked.append(say("new.crs_unfit", text=text, wrong=wrong, or_local=local))
             return ""
-        made.points = moved.points
+        made.points, known = moved.points, set(moved.points.names)
+        made.refused += moved.refused
+        made.marks = tuple(
+            mark for mark in made.marks if mark.point in known or mark.point not in points.names
+        )
         made.height = "ellipsoidal" if system.is_geocentric else made.height
         made.known += _moved(system, moved.crs, say)
         return moved.crs
@@ -494,7 +531,8 @@ def _turned(places: Floats, placed: Sequence[ImageFacts]) -> bool | None:
     near_deg = 0.2
     latitude, longitude = middle_of(placed)
     away = [
-        np.abs(np.median(places, axis=0) - at).max() for at in ((longitude, latitude), (latitude, longitude))
+        np.abs(np.nanmedian(places, axis=0) - at).max()
+        for at in ((longitude, latitude), (latitude, longitude))
     ]
     return None if min(away) > near_deg else away[1] < away[0]
 
@@ -507,13 +545,18 @@ def zone_of(placed: Sequence[ImageFacts]) -> str:
 def _system_of(points: ObjectPoints, placed: Sequence[ImageFacts]) -> str:
     """The zone of the pictures, when the control points lie among them in it; else empty."""
     zone = zone_of(placed)
+    return zone if _lies_among(points, placed, zone) else ""
+
+
+def _lies_among(points: ObjectPoints, placed: Sequence[ImageFacts], crs: str) -> bool:
+    """Whether control points lie among the pictures in a system."""
     try:
-        places = map_places(placed, zone)
+        places = map_places(placed, crs)
     except PhotocalError:
-        return ""
+        return False
     low, high = places[:, :2].min(axis=0), places[:, :2].max(axis=0)
     # Control this near to the pictures' positions is in their zone, m beyond their width.
     reach_m = 200.0
     reach = np.linalg.norm(high - low) + reach_m
-    away = np.linalg.norm(np.median(points.values[:, :2], axis=0) - (low + high) / 2)
-    return zone if away < reach else ""
+    away = np.linalg.norm(np.nanmedian(points.values[:, :2], axis=0) - (low + high) / 2)
+    return bool(away < reach)

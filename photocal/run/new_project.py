@@ -12,7 +12,6 @@ import numpy as np
 from photocal.base.errors import InputNotFoundError, OutputError, PhotocalError
 from photocal.base.files import rows_text, write_file
 from photocal.base.policy import policy
-from photocal.base.text_tables import folded
 from photocal.block.model import ROLES, ObjectPoints
 from photocal.block.network import OTHER_SURFACE_M
 from photocal.findings.digits import Number
@@ -31,7 +30,7 @@ from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
 from photocal.run.camera_card import ChosenPictures, chosen_pictures
-from photocal.run.folder_survey import ASSUMED_M, CHECKS, FolderContents, named_checks, survey
+from photocal.run.folder_survey import ASSUMED_M, FolderContents, named_as_checks, named_checks, survey
 from photocal.run.new_control import NewProject, settle
 from photocal.run.renewed_project import answered_height, renewed, written_before
 
@@ -110,12 +109,6 @@ def _found(control: ControlMarks) -> str:
     return f"{control.file.name} has {points} points and marks in {pictures} pictures: put them beside it"
 
 
-def _paths(seen: FolderContents, pictures: Path | None) -> list[Path]:
-    """Pictures of the folder, those of the one that is used last."""
-    folders = sorted(seen.pictures, key=lambda where: where == pictures)
-    return [where / image.name for where in folders for image in seen.pictures[where]]
-
-
 def _others(chosen: ChosenPictures) -> frozenset[str]:
     """Pictures of other folders that are called as those that are used, with the names of their folders."""
     used = {image.name for image in chosen.facts}
@@ -167,7 +160,7 @@ def _joined(best: ControlMarks, seen: FolderContents) -> ControlMarks:
 
     People keep check points in a file of their own, and call it so.
     """
-    checks = {table.file for table in seen.control if any(word in folded(table.file.stem) for word in CHECKS)}
+    checks = {table.file for table in seen.control if named_as_checks(table.file)}
     middle, tables, listed = np.nanmedian(best.points.values, axis=0), [best], set(best.points.names)
 
     def way(table: ControlMarks) -> tuple[object, ...]:
@@ -181,7 +174,8 @@ def _joined(best: ControlMarks, seen: FolderContents) -> ControlMarks:
             tables.append(other)
             listed.update(other.points.names)
     if len(tables) == 1:
-        return best
+        stated = not best.points.of_role("control").all()
+        return best if stated or best.file not in checks else named_checks(best)
     tables = [named_checks(table) if table.file in checks else table for table in tables]
     first, *others = sorted(tables, key=lambda table: (table.file in checks, -len(table.points.names)))
     for other in others:
@@ -223,14 +217,13 @@ class _Text:
         # Where sizes do not tell cameras apart.
         self.listed = frame is not None or len({image.size_px for image in facts}) < len(self.cameras)
         self.placed = [image for image in facts if image.has_position]
-        where = {path.name: path for path in _paths(seen, pictures)}
         stated = sum(np.isfinite(image.position_sigma_m).all() for image in self.placed)
         told_of, self.events = list[str](), list[Path]()
         placing: Sequence[ImageFacts] = facts
         if stated < len(facts) and not (seen.logs or seen.positions):
             self.events, placing = self._events(told_of)
         others = _others(chosen)
-        settle(control, given, made_in, placing, where, flown=bool(seen.logs), others=others)
+        settle(control, given, made_in, placing, chosen.place, flown=bool(seen.logs), others=others)
         self.known, self.missing = control.known, control.missing
         self.known += chosen.known
         self.missing += [*told_of, *chosen.missing]
@@ -504,6 +497,8 @@ class _Text:
             self.missing.append(say("new.few_marked", n=marked, fewest=policy.fewest_control))
         if not points.of_role("check").any():
             self.missing.append(say("new.no_checks"))
+        elif not points.of_role("control").any():
+            self.missing.append(say("new.only_checks"))
 
     def _other_control(self, given: ControlMarks) -> None:
         """Name other files of control that say something else than the one that is used."""

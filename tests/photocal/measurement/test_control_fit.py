@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from photocal.base.codec import same
 from photocal.block.model import Block, Images, ObjectPoints
+from photocal.findings.texts import catalogue, remedy_text
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.oriented_ties import Oriented, first_orientation
@@ -175,7 +176,10 @@ def test_control_with_exchanged_axes_is_named_and_places_nothing(relief: float) 
     survey = SURVEY * [1.0, 1.0, relief]
     there = np.array([634600.0, 485300.0, 110.0])
     found = oriented((survey + there)[:, [1, 0, 2]], survey=survey, frame="EPSG:2180")
-    assert any("E and N of all of them are exchanged" in english(one) for one in found.findings)
+    # The cause comes first, with what to do about it.
+    first, *_ = found.findings
+    assert "E and N of all of them are exchanged" in english(first)
+    assert remedy_text(first, catalogue("en")) == "Exchange the columns of E and N in the control table."
     assert found.adjusted.start.datum == "free"
     right = oriented(survey + there, survey=survey, frame="EPSG:2180")
     assert right.adjusted.start.datum == "control"

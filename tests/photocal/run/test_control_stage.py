@@ -59,6 +59,21 @@ def test_every_mark_is_used_or_named(pictures: Path, tmp_path: Path, photocal: P
     assert f"6 control and 0 check points, {counted['used']} of {counted['read']} marks" in said.out
 
 
+def test_an_absent_marks_file_is_told_before_any_work(
+    pictures: Path, tmp_path: Path, photocal: Photocal
+) -> None:
+    folder = tmp_path / "f"
+    site_folder(pictures, folder)
+    project_of(photocal, folder)
+    (folder / "marks.csv").unlink()
+    said = photocal("run", folder, "--until", "control")
+    assert said.code == 0, said.err
+    (told,) = (line for line in said.err.splitlines() if "marks-absent" in line)
+    assert "The marks file marks.csv does not exist" in told
+    # Nothing was adjusted, so that nothing is judged.
+    assert "verdict" not in said.out
+
+
 def test_marks_of_other_pictures_are_told_before_any_work(
     pictures: Path, tmp_path: Path, photocal: Photocal
 ) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
-from pyproj import Transformer
+from pyproj import CRS, Transformer
 
 from photocal.findings.texts import catalogue
 from photocal.measurement.marks import read_marks
@@ -253,7 +255,7 @@ def test_a_head_says_the_kind_of_heights(folder: Path, photocal: Photocal, head:
     found = new(photocal, folder)
     assert key(folder, "height") == height
     assert control(folder)["G1"][2] == 912.4
-    assert any(f"by the heading {head!r}" in line for line in found["found"]) is (height != "?")
+    assert any(f"by {head!r}" in line for line in found["found"]) is (height != "?")
 
 
 def test_what_a_person_says_of_heights_stands_before_the_head(folder: Path, photocal: Photocal) -> None:
@@ -309,10 +311,175 @@ def test_the_system_that_a_table_names_is_taken(folder: Path, photocal: Photocal
     assert key(folder, "crs") == "EPSG:31982"
 
 
+def minutes(value: float, letters: str) -> str:
+    """Degrees and decimal minutes with the letter of the hemisphere, positive and negative."""
+    whole = int(abs(value))
+    return f"{whole}° {60 * (abs(value) - whole):.8f}' {letters[value < 0]}"
+
+
+def packed(value: float) -> str:
+    """Degrees, minutes and seconds as one number."""
+    seconds = round(abs(value) * 3600, 6)
+    text = f"{int(seconds // 3600)}{int(seconds % 3600 // 60):02d}{seconds % 60:09.6f}"
+    return text if value > 0 else f"-{text}"
+
+
+@pytest.mark.parametrize("kind", ["minutes", "hyphens", "packed"])
+def test_degrees_in_other_signs(folder: Path, photocal: Photocal, kind: str) -> None:
+    rows = ["name,lat,lon,h ell"]
+    for name, (east, north, up) in POINTS.items():
+        longitude, latitude = TO_DEGREES.transform(east, north)
+        said = {
+            "minutes": [minutes(latitude, "NS"), minutes(longitude, "EW")],
+            "hyphens": [
+                re.sub("[°']", "-", sexagesimal(value, *letters)).replace(" ", "").replace('"', "")
+                for value, letters in ((latitude, "NS"), (longitude, "EW"))
+            ],
+            "packed": [packed(latitude), packed(longitude)],
+        }[kind]
+        rows.append(",".join([name, *said, str(up)]))
+    (folder / "p.csv").write_text("\n".join(rows) + "\n")
+    new(photocal, folder)
+    for name, place in control(folder).items():
+        assert place == pytest.approx(POINTS[name], abs=2e-3)
+
+
+def test_decimal_commas_between_quotes_are_no_thousands(folder: Path, photocal: Photocal) -> None:
+    """Heights such as "913,001" alone would be groups of thousands; eastings and northings are not."""
+    rows = [f'{name},"{e:.3f}","{n:.3f}","{h:.3f}"' for name, (e, n, h) in POINTS.items()]
+    text = "\n".join(["name,E,N,Z", *(row.replace(".", ",") for row in rows)]) + "\n"
+    (folder / "p.csv").write_text(text)
+    new(photocal, folder)
+    for name, place in control(folder).items():
+        assert place == pytest.approx(POINTS[name], abs=1e-3)
+
+
+def test_survey_feet_are_known_by_their_name(folder: Path, photocal: Photocal) -> None:
+    foot = 1200 / 3937
+    heads = ",".join(f"{axis} (US survey ft)" for axis in ("Easting", "Northing", "Elevation"))
+    rows = [",".join([name, *(f"{v / foot:.5f}" for v in place)]) for name, place in POINTS.items()]
+    (folder / "p.csv").write_text("\n".join([f"name,{heads}", *rows]) + "\n")
+    new(photocal, folder)
+    for name, place in control(folder).items():
+        assert place == pytest.approx(POINTS[name], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("head", "control_word", "check_word"),
+    [
+        ("Classe", "Controle", "Checagem"),
+        ("Função", "Ponto de apoio", "Ponto de verificação"),
+        ("Art", "Passpunkt", "Kontrollpunkt"),
+        ("Kind", "GCP", "CP"),
+        ("Role", "Ground control", "Independent check points"),
+    ],
+)
+def test_roles_are_known_by_their_words(
+    folder: Path, photocal: Photocal, head: str, control_word: str, check_word: str
+) -> None:
+    words = {name: check_word if name == "G3" else control_word for name in POINTS}
+    rows = [f"{name},{e},{n},{h},{words[name]}" for name, (e, n, h) in POINTS.items()]
+    (folder / "p.csv").write_text("\n".join([f"name,E,N,Z,{head}", *rows]) + "\n", encoding="utf-8")
+    found = new(photocal, folder)
+    with (folder / "control.csv").open(encoding="utf-8") as made:
+        assert {row["point"] for row in csv.DictReader(made) if row["role"] == "check"} == {"G3"}
+    assert not any("neither control nor check" in line for line in found["doubtful"])
+
+
+def test_a_file_of_check_points_alone_has_no_control(folder: Path, photocal: Photocal) -> None:
+    (folder / "check points.csv").write_text(table("name,E,N,Z", "{p},{E},{N},{Z}"))
+    found = new(photocal, folder)
+    with (folder / "control.csv").open(encoding="utf-8") as made:
+        assert {row["role"] for row in csv.DictReader(made)} == {"check"}
+    assert "all points are check points: none places the block" in found["missing"]
+
+
+@pytest.mark.parametrize("nothing", ["", "-", "n/a", "sem"])
+def test_a_point_without_height_holds_the_plane(folder: Path, photocal: Photocal, nothing: str) -> None:
+    text = table("name,E,N,Z,role", "{p},{E},{N},{Z},", below=f"G5,677850,7184270,{nothing},\n")
+    (folder / "p.csv").write_text(text + f"G6,677851,7184280,{nothing},check\n")
+    found = new(photocal, folder)
+    with (folder / "control.csv").open(encoding="utf-8") as made:
+        rows = {row["point"]: row for row in csv.DictReader(made)}
+    assert set(rows) == {*POINTS, "G5"}
+    assert (float(rows["G5"]["sX"]), rows["G5"]["sZ"]) == (0.02, "")
+    assert "points without height: G5; used in plan only" in found["doubtful"]
+    assert any("Z of G6 is empty" in line for line in found["missing"] + found["doubtful"])
+
+
+def test_names_that_differ_in_capitals_only_are_told(folder: Path, photocal: Photocal) -> None:
+    text = table("name,E,N,Z", "{p},{E},{N},{Z}", below="g1,677868,7184231,912\n")
+    (folder / "p.csv").write_text(text)
+    assert any("G1 and g1 differ in capitals only" in line for line in new(photocal, folder)["doubtful"])
+
+
+@pytest.mark.parametrize(
+    "heads", ["Horizontal accuracy,Vertical accuracy", "HRMS (m),VRMS (m)", "Lateral RMS,Elevation RMS"]
+)
+def test_sigmas_of_the_plane_in_one_column(folder: Path, photocal: Photocal, heads: str) -> None:
+    (folder / "p.csv").write_text(table(f"name,E,N,Z,{heads}", "{p},{E},{N},{Z},0.011,0.019"))
+    new(photocal, folder)
+    with (folder / "control.csv").open(encoding="utf-8") as made:
+        assert {(row["sX"], row["sY"], row["sZ"]) for row in csv.DictReader(made)} == {
+            ("0.0110", "0.0110", "0.0190")
+        }
+
+
+@pytest.mark.parametrize(
+    ("file", "system", "crs", "said"),
+    [
+        ("survey.prj", "EPSG:31982", "EPSG:31982", "(SIRGAS 2000 / UTM zone 22S), by survey.prj"),
+        ("SURVEY.QPJ", "EPSG:31982", "EPSG:31982", "by SURVEY.QPJ"),
+        ("survey.prj", "EPSG:4674", "EPSG:32722", "in degrees; the coordinates of survey.csv are not"),
+        ("survey.prj", "", "EPSG:32722", "survey.prj names no coordinate system that is known"),
+        ("area.prj", "EPSG:31983", "EPSG:32722", ""),
+    ],
+)
+def test_the_system_beside_a_table_is_taken(
+    folder: Path, photocal: Photocal, file: str, system: str, crs: str, said: str
+) -> None:
+    (folder / "survey.csv").write_text(table("Name,E,N,Z", "{p},{E},{N},{Z}"))
+    (folder / file).write_text(CRS(system).to_wkt("WKT1_ESRI") if system else "no system")
+    found = new(photocal, folder)
+    assert key(folder, "crs") == crs
+    assert control(folder) == POINTS
+    assert any(line.endswith(said) for line in found["found"] + found["missing"])
+
+
+@pytest.mark.parametrize("placed", [True, False])
+@pytest.mark.parametrize(
+    ("head", "turned", "said"),
+    [
+        ("name,X,Y,Z", True, "north comes before east in survey.csv"),
+        ("name,E,N,Z", False, "E and N of the"),
+    ],
+)
+def test_north_before_east_is_seen(
+    tmp_path: Path, photocal: Photocal, head: str, placed: bool, turned: bool, said: str
+) -> None:
+    for k in range(3):
+        picture(tmp_path / f"a{k}.jpg", 20.0 * k if placed else None)
+    (tmp_path / "survey.csv").write_text(table(head, "{p},{N},{E},{Z}"))
+    found = new(photocal, tmp_path, "--crs", "EPSG:31982")
+    order = (0, 1, 2) if turned else (1, 0, 2)
+    assert control(tmp_path) == {name: tuple(place[k] for k in order) for name, place in POINTS.items()}
+    (line,) = (one for one in found["found"] + found["doubtful"] if said in one)
+    assert turned or "exchanged" in line
+
+
+def test_degrees_are_in_the_datum_beside_the_table(folder: Path, photocal: Photocal) -> None:
+    (folder / "survey.csv").write_text(table("Name,lat,lon,h ell", "{p},{lat},{lon},{Z}"))
+    (folder / "survey.prj").write_text(CRS("EPSG:4618").to_wkt("WKT1_ESRI"))
+    new(photocal, folder)
+    # SAD69 lies some 70 m from WGS 84 in Brazil.
+    away = [np.hypot(*np.subtract(place[:2], POINTS[name][:2])) for name, place in control(folder).items()]
+    assert all(50 < metres < 90 for metres in away)
+
+
 @pytest.mark.parametrize(
     ("row", "said"),
     [
-        ("G5,677850,7184270,", "line 6: Z of G5 is empty"),
+        ("G5,677850,,912", "line 6: Y of G5 is empty"),
         ("G5,677850,about 7184270,912", "Y of G5 is 'about 7184270', not a number as in the other rows"),
         (",677850,7184270,912", "line 6: the point has no name"),
         ("Average,677850,7184270,912", "line 6: Average is computed from the other rows"),
@@ -330,14 +497,14 @@ def test_a_row_that_is_no_point_is_named_and_costs_nothing_else(
 
 
 def test_rows_that_are_no_points_are_named_in_portuguese(folder: Path, photocal: Photocal) -> None:
-    text = table("name,E,N,Z", "{p},{E},{N},{Z}", below="G1,1,2,3\nG5,1,2,\nSoma,1,2,3\n")
+    text = table("name,E,N,Z", "{p},{E},{N},{Z}", below="G1,1,2,3\nG5,1,,2\nSoma,1,2,3\n")
     (folder / "p.csv").write_text(text)
     found = new(photocal, folder, "--lang", "pt-BR")
     left = [line.split(": ", 2)[2] for line in found["missing"] + found["doubtful"] if "não usado" in line]
     assert sorted(left) == [
         "G1 aparece duas vezes, antes com outras coordenadas",
         "Soma é calculado a partir das outras linhas",
-        "falta Z de G5",
+        "falta Y de G5",
     ]
 
 
@@ -356,6 +523,39 @@ def test_marks_as_fractions_become_pixels(folder: Path, photocal: Photocal, name
         ("a0.jpg", 19.5, 59.5),
     ]
     assert any("between 0 and 1, taken as fractions of width and height" in line for line in found["found"])
+
+
+def test_a_list_of_odm_may_be_a_spreadsheet(folder: Path, photocal: Photocal) -> None:
+    rows = [
+        f"{e},{n},{h},{20 + k}.5,30.5,a{k % 3}.jpg,{p}" for k, (p, (e, n, h)) in enumerate(POINTS.items())
+    ]
+    (folder / "gcp_list.csv").write_text("\n".join(["EPSG:31982,,,,,,", *rows]) + "\n")
+    found = new(photocal, folder)
+    assert control(folder) == POINTS
+    assert key(folder, "crs") == "EPSG:31982"
+    assert any("4 marks in 3 images" in line for line in found["found"])
+
+
+def test_markers_without_a_reference_are_in_the_zone_of_the_pictures(
+    folder: Path, photocal: Photocal
+) -> None:
+    """They were taken for a local system, in which the pictures' positions count for nothing."""
+    places = {name: 'x="{}" y="{}" z="{}"'.format(*place) for name, place in POINTS.items()}
+    markers = "".join(
+        f'<marker id="{k}" label="{name}"><reference {place} enabled="true"/></marker>'
+        for k, (name, place) in enumerate(places.items())
+    )
+    seen = "".join(
+        f'<marker marker_id="{k}"><location camera_id="0" pinned="true" x="{20 + k}" y="30"/></marker>'
+        for k in range(len(places))
+    )
+    (folder / "markers.xml").write_text(
+        f'<document><chunk><cameras><camera id="0" label="a0"/></cameras><markers>{markers}</markers>'
+        f'<frames><frame id="0"><markers>{seen}</markers></frame></frames></chunk></document>'
+    )
+    new(photocal, folder)
+    assert control(folder) == POINTS
+    assert key(folder, "crs") == "EPSG:32722"
 
 
 def test_results_of_mmvii_are_called_so(folder: Path, photocal: Photocal) -> None:

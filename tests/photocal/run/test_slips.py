@@ -223,7 +223,7 @@ def spreadsheet(_: Rows) -> dict[tuple[str, str], str]:
             "points.csv tem coordenadas de G3 diferentes das de gcp_list.txt",
         ),
         (spreadsheet, "pontos.xlsx: is not read; if it has control", "pontos.xlsx: não é lido; se tem"),
-        (lacking, "points.csv, line 3: Z of G2 is empty", "points.csv, line 3: falta Z de G2"),
+        (lacking, "points without height: G2, G5; used in plan only", "sem altitude: G2, G5; usados só em"),
         (
             twofold,
             "points.csv, line 8: G1 is listed twice, as control point and as check point",
