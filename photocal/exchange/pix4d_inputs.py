@@ -4,7 +4,9 @@
 system of `inputs/coordinateSystems/gcp`, and `lat`, `lng`, `alt` where that system is geographic. Below
 each `image` of `inputs/images` an `imageGCP` has the `id` of a point and its mark, `x` and `y` in px from the
 upper-left corner of the image. Sources: the makers' page on the minimum format, a project of version 4.6
-without points, and two published scripts that count points and marks.
+without points, and two published scripts that count points and marks. They show all of this but the
+attributes `x` and `y` of a mark, their origin, which is that of the program's tables of marks, and types of
+points other than "3DGCP": these were written without a real project at hand.
 """
 
 from dataclasses import dataclass
