@@ -292,7 +292,7 @@ class LeaveOutKeys(Table):
 
 
 class CertificateKeys(Table):
-    """`[certificate]`: what only people know, the `plan.json` that was flown, and the language.
+    """`[certificate]`: what only people know, the `plan.json` that was flown, a form, and the language.
 
     English where no language is given: a project has one certificate, whoever runs it. `photocal new`
     writes the language in which it was asked.
@@ -302,6 +302,7 @@ class CertificateKeys(Table):
     plan: Beside | None = None
     client: str = ""
     operator: str = ""
+    form: Literal["", "br-md"] = ""
     language: Literal["en", "pt-BR"] | None = None
 
 

@@ -31,7 +31,7 @@ from photocal.desk.session import Desk
 from photocal.findings.texts import catalogue
 from photocal.findings.verdict import read_verdict, verdict_text
 from photocal.project import Project
-from photocal.report.certificate_metadata import read_particulars
+from photocal.report.certificate_metadata import Form, read_particulars
 from photocal.report.keys import own_key
 from photocal.report.signing import SIGNATURE
 from photocal.results.folder import RESULT
@@ -131,7 +131,7 @@ _FRAMED = (
 )
 _LONGEST_ZIP, _MOST_FILES, _LONGEST_FILES = 400 << 20, 5000, 2 << 30
 _RECORD, _PAGE = "certificate.json", "certificate.html"
-_KEYS = ("client", "operator", "language")
+_KEYS = ("client", "operator", "form", "language")
 Short = Annotated[str, Field(max_length=2000)]
 # What was typed, by section and key.
 Particulars = dict[str, Short]
@@ -215,7 +215,12 @@ def _file(desk: Desk, project: Project) -> Path:
 
 
 def _set(
-    desk: Desk, values: Particulars, client: Short = "", operator: Short = "", language: str = "en"
+    desk: Desk,
+    values: Particulars,
+    client: Short = "",
+    operator: Short = "",
+    form: Form = "",
+    language: str = "en",
 ) -> dict[str, Any]:
     """Write the form into the particulars and the project."""
     with desk.lock:
@@ -226,7 +231,7 @@ def _set(
             write(path, text, _today())
             if project.contents.certificate.particulars is None:
                 project_file.put(desk.file, "certificate.particulars", NAME)
-        for key, value in zip(_KEYS, (client, operator, language), strict=True):
+        for key, value in zip(_KEYS, (client, operator, form, language), strict=True):
             if value != getattr(project.contents.certificate, key):
                 project_file.put(desk.file, f"certificate.{key}", value)
     return state(desk)
@@ -237,7 +242,12 @@ def _today() -> dt.date:
 
 
 def _preview(
-    desk: Desk, values: Particulars, client: Short = "", operator: Short = "", language: str = "en"
+    desk: Desk,
+    values: Particulars,
+    client: Short = "",
+    operator: Short = "",
+    form: Form = "",
+    language: str = "en",
 ) -> dict[str, Any]:
     """Make the certificate of a form that is not kept yet, without writing anything of the project."""
     # What computes is loaded when it is needed: the window is there at once.
@@ -258,6 +268,7 @@ def _preview(
             _today(),
             client=client,
             operator=operator,
+            form=form,
             key="" if key is None else key.fingerprint,
             pictures=told_conditions(pictures(desk)),
             flown=read_json(work / "flown" / "flown.json"),

@@ -32,6 +32,7 @@ FIELDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "flight.base_position": ("triple", ()),
     "certificate.client": ("text", ()),
     "certificate.operator": ("text", ()),
+    "certificate.form": ("choice", ("", "br-md")),
     "certificate.language": ("choice", ("en", "pt-BR")),
 }
 # Which words of an error, in either language, belong to which field, the surer ones first.

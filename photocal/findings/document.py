@@ -337,7 +337,9 @@ def typeset(source: bytes, date: dt.date, inputs: Mapping[str, str] | None = Non
         raise OutputError(wrong.format(refusal), remedy) from None
     if not isinstance(made, bytes):
         raise OutputError(wrong.format("no single file"), remedy)
-    return made
+    # Poppler complains of what holds unless another is said (ISO 32000-1, 14.7.1); blanks keep all offsets.
+    unsaid = b"/Suspects false"
+    return made.replace(unsaid, b" " * len(unsaid))
 
 
 def as_json(document: Document) -> dict[str, Any]:
@@ -351,9 +353,10 @@ def as_json(document: Document) -> dict[str, Any]:
             more["number"] = numbers[id(part)]
         if isinstance(part, TablePart):
             texts = zip(*[(c.head, c.unit) for c in part.columns], strict=True)
-            # The longest text shares the width; a digest is set in very small type.
+            # The longest text shares the width; heads are bold, a digest is set in very small type.
             more["shares"] = [
-                max(5, min(max(map(len, column)), 40)) for column in zip(*texts, *part.rows, strict=True)
+                max(5, min(max(1.2 * len(head), *map(len, column)), 40))
+                for head, *column in zip(*texts, *part.rows, strict=True)
             ]
         return more
 

@@ -305,11 +305,14 @@ def _length(metres: float, say: Catalogue) -> str:
     return f"< {say.fixed(0.1, 1)} cm"
 
 
-def verdict_text(verdict: Verdict, say: Catalogue) -> list[str]:
-    """Say all of a verdict: the paragraph, which ends with the first remedy, then its lines."""
+def verdict_text(verdict: Verdict, say: Catalogue, beyond: str = "judgement.beyond") -> list[str]:
+    """Say all of a verdict: the paragraph, which ends with the first remedy, then its lines.
+
+    beyond: text that says where further findings are listed.
+    """
     lines = [line_text(line, say) if k else _shown(line, say) for k, line in enumerate(verdict.lines)]
     if verdict.beyond:
-        lines.append(say("judgement.beyond", n=verdict.beyond))
+        lines.append(say(beyond, n=verdict.beyond))
     return [headline(verdict, say), *lines]
 
 

@@ -15,6 +15,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, finding_text, need_words, remedy_text, sentence
 from photocal.findings.verdict import by_methods
 from photocal.geometry.camera import Camera
+from photocal.report.camera_sections import unit_of
 from photocal.report.stored_analysis import AnalysedRun
 
 
@@ -145,25 +146,26 @@ def _checks(rmse_m: Floats | tuple[float, ...] | None, say: Catalogue) -> str:
 
 
 def _jackknife(record: Opinions, camera: Camera, say: Catalogue) -> TablePart:
-    heads = ["parameter<", "formal", "error", "corrected", "sandwich"]
-    heads += [] if record.bootstrap is None else ["bootstrap"]
-
-    def small(value: float) -> str:
-        """Write three digits, or that there is no number."""
-        # Coefficients have any power of ten: three digits and the exponent, as Python writes them.
-        return f"{value:.3g}".replace(".", say.mark) if math.isfinite(value) else say("word.none")
-
-    rows = (
-        (
-            symbol(name),
-            small(camera.sigma_of(name)),
-            small(error),
-            small(record.standard_error_corrected[name]),
-            small(record.sandwich[name]),
-            *([] if record.bootstrap is None else [small(record.bootstrap[name])]),
-        )
-        for name, error in record.standard_error.items()
+    columns = [record.standard_error, record.standard_error_corrected, record.sandwich]
+    columns += [] if record.bootstrap is None else [record.bootstrap]
+    heads = (
+        "parameter<",
+        "formal",
+        *("error", "corrected", "sandwich", "bootstrap")[: len(columns)],
+        "unit<",
     )
+
+    def row(name: str) -> tuple[str, ...]:
+        """Write standard deviations with three digits, in the unit of the table of parameters."""
+        formal = camera.sigma_of(name)
+        exponent = say.measured(camera.value(name), formal)[2]
+        sigmas = (
+            say.significant(v / 10.0**exponent, 3) if math.isfinite(v) else say("word.none")
+            for v in (formal, *(of[name] for of in columns))
+        )
+        return symbol(name), *sigmas, unit_of(camera, name, exponent)
+
+    rows = map(row, record.standard_error)
     note = say("analysis.jackknife_note", count=len(record.left_out))
     return said_table(say, "analysis.jackknife", heads, rows, note)
 

@@ -129,6 +129,12 @@ def insignificant(camera_id: str, run: AnalysedRun) -> list[str]:
     return [name for name in tested if abs(camera.value(name)) / run.stated(camera_id, name)[0] < critical]
 
 
+def unit_of(camera: Camera, name: str, exponent: int) -> str:
+    """Write the unit of a parameter that is printed without a power of ten."""
+    unit = "s" if name == "readout" else unit_power(camera.unit, camera.lens.power(name))
+    return power_of_ten(exponent, unit) or "1"
+
+
 def _iop_row(
     name: str,
     camera: Camera,
@@ -140,8 +146,7 @@ def _iop_row(
     value, sigma, none = camera.value(name), camera.sigma_of(name), say("word.none")
     printed, spread, exponent = say.measured(value, sigma)
     free = name in camera.free
-    parameter_unit = "s" if name == "readout" else unit_power(camera.unit, camera.lens.power(name))
-    unit = power_of_ten(exponent, parameter_unit) or "1"
+    unit = unit_of(camera, name, exponent)
     others = (say.significant(s / 10.0**exponent, 2) if free and s else none for s in beside)
     head = (symbol(name), say(f"parameter.{name}"), printed)
     row = (*head, spread if free else say("word.held"), *others, unit)

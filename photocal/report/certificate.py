@@ -34,7 +34,8 @@ def certificate(
     _refuse_impossible(known, say)
     number = certificate_number(run, particulars, warnings)
     sections = _sections(run, particulars, known, warnings, number, say)
-    verdicts = _verdicts(run, known, warnings, say)
+    limited = known if particulars.document.form else ()
+    verdicts = _verdicts(run, known, limited, warnings, say)
     told = " ".join((verdicts[0].text, *verdicts[0].lines))
     return Document(
         language=say.language,
@@ -170,20 +171,27 @@ def tested(result: Result, findings: Iterable[Finding]) -> Finding:
 
 
 def _verdicts(
-    run: AnalysedRun, known: tuple[DerivedFigures, ...], warnings: tuple[Finding, ...], say: Catalogue
+    run: AnalysedRun,
+    known: tuple[DerivedFigures, ...],
+    limited: tuple[DerivedFigures, ...],
+    warnings: tuple[Finding, ...],
+    say: Catalogue,
 ) -> tuple[Statement, ...]:
-    """The verdict with its reasons first, then what limits it; nothing is green where it is not."""
+    """The verdict with its reasons first, then what limits it; nothing is green where it is not.
+
+    limited: of those that the ministry's limits are asked of.
+    """
     given = overall(run, known, warnings)
     final = given.outcome
     tone: Tone = {"passed": "good", "doubtful": "note"}.get(final.severity, "bad")  # type: ignore[assignment]
-    paragraph, *lines = verdict_text(given, say)
+    paragraph, *lines = verdict_text(given, say, "judgement.listed")
     # A block absorbs what its calibration takes elsewhere.
     carried = final.code == "not-usable" and given.block in ("yes", "reserved")
     title = say("verdict.not-carried") if carried else say(f"verdict.{final.code}")
     verdicts = [Statement(tone, title, paragraph, tuple(lines))]
     if run.result.checks.n == 0:
         verdicts.append(Statement("note", say("verdict.unchecked_title"), say("verdict.unchecked")))
-    acceptable = (of for of in known if keeps(of.limits) != "not_determined")
+    acceptable = (of for of in limited if keeps(of.limits) != "not_determined")
     return (*verdicts, *(required_sections.acceptance_statement(of, final, say) for of in acceptable))
 
 
@@ -242,7 +250,7 @@ def _sections(
 def _judgements(
     run: AnalysedRun, particulars: Metadata, known: tuple[DerivedFigures, ...], final: Finding, say: Catalogue
 ) -> list[Section]:
-    """Plausibility, acceptance and the ministry's form of each camera, and the equipment once."""
+    """Plausibility, flown block and equipment; the ministry's limits and form where they are asked for."""
 
     def title(key: str, of: DerivedFigures) -> str:
         """Write a title, with the camera where there are several."""
@@ -250,10 +258,11 @@ def _judgements(
 
     made = required_sections
     sections = [made.findings(title("plausibility.section", of), of.findings, say) for of in known]
-    sections += [made.acceptance(title("acceptance.section", of), of, final, say) for of in known]
+    limited = known if particulars.document.form else ()
+    sections += [made.acceptance(title("acceptance.section", of), of, final, say) for of in limited]
     sections += made.flown_block(say("flown.section"), particulars, say)
-    sections.append(made.equipment(say("equipment.section"), particulars, say))
-    contexts = (Context(run, particulars, of, say) for of in known)
+    sections += made.equipment(say("equipment.section"), particulars, say)
+    contexts = (Context(run, particulars, of, say) for of in limited)
     return sections + [made.technical_report(title("ministry.section", c.facts), c) for c in contexts]
 
 

@@ -25,6 +25,11 @@ Radiometry = Literal[
 FlownCount = Literal["images", "strips", "tilt_over_3_deg", "tilt_over_5_deg", "smear_over_limit", "gaps"]
 
 
+# A form of an authority that the certificate fills in, too: "br-md" is the technical report of the Brazilian
+# Ministry of Defence.
+Form = Literal["", "br-md"]
+
+
 class DocumentKeys(Table):
     """Section `[document]`."""
 
@@ -33,6 +38,7 @@ class DocumentKeys(Table):
     place: str = ""
     comments: str = ""
     references: tuple[str, ...] = ()
+    form: Form = ""
 
 
 class CameraParticulars(Table):
@@ -184,6 +190,7 @@ def read_particulars(
     *,
     client: str = "",
     operator: str = "",
+    form: str = "",
     key: str = "",
     pictures: Mapping[str, Mapping[str, str | float]] | None = None,
     flown: Mapping[str, Any] | None = None,
@@ -191,6 +198,7 @@ def read_particulars(
     """Read the particulars of a certificate; what nobody typed may stand in the pictures.
 
     path: TOML file with what a person gives.
+    form: that the certificate fills in, too; see `Form`.
     key: fingerprint of the key by which it will be signed; printed.
     pictures: what they say of camera and conditions, by section and key of the particulars.
     flown: figures of the flown block, see `planning.flown.figures_of`.
@@ -205,7 +213,7 @@ def read_particulars(
             keys[section] = {**stated, **typed}
     if "date" in keys:
         raise ConfigurationError("unknown key 'date'", "give the day by --date", where=path)
-    named = {"client": client, "operator": operator}
+    named = {"client": client, "operator": operator, "form": form}
     document = keys.get("document", {})
     if isinstance(document, dict):
         keys["document"] = {**document, **{key: value for key, value in named.items() if value}}

@@ -31,6 +31,9 @@ class CertificateOptions(Options):
     ] = None
     client: Annotated[str, Option("Client.")] = ""
     operator: Annotated[str, Option("Operator: who carried out the calibration.")] = ""
+    form: Annotated[
+        str, Option("Form to be filled in, too: br-md, of the Brazilian Ministry of Defence.")
+    ] = ""
     images: Annotated[
         Path | None, Option("Folder of the pictures: their EXIF gives camera, aperture, focus and firmware.")
     ] = None

@@ -35,7 +35,6 @@ TONES: dict[str, Tone] = {"acceptable": "good", "new_calibration": "bad", "not_d
 
 def laboratory(title: str, particulars: Metadata, number: str, say: Catalogue) -> Section:
     """List what clause 7.8 asks of a certificate, item by item."""
-    missing = say("laboratory.not_stated")
     lab, conditions, given = particulars.laboratory, particulars.conditions, particulars.camera
     air = {
         "temperature": (conditions.temperature_c, "°C"),
@@ -61,9 +60,11 @@ def laboratory(title: str, particulars: Metadata, number: str, say: Catalogue) -
         "decision_rule": lab.decision_rule or say("laboratory.rule"),
         "authorised": particulars.responsible.name,
     }
-    rows = tuple((say(f"laboratory.{key}"), value or missing) for key, value in values.items())
+    stated = tuple((say(f"laboratory.{key}"), value) for key, value in values.items() if value)
+    lacking = [say(f"laboratory.{key}") for key, value in values.items() if not value]
+    unstated = [Paragraph(say("laboratory.unstated", names=", ".join(lacking)))] if lacking else []
     notes = Paragraph(f"{say('laboratory.relates_only')} {say('laboratory.reproduction')}")
-    return Section(title, (KeyValues(rows), notes))
+    return Section(title, (KeyValues(stated), *unstated, notes))
 
 
 def _told_by_pictures(conditions: ConditionKeys) -> dict[str, str]:
@@ -237,20 +238,30 @@ def findings(title: str, plausibility: tuple[Finding, ...], say: Catalogue) -> S
     return Section(title, (text, said_table(say, "plausibility.table", heads, rows, widths=(0.16, 0.84))))
 
 
-def equipment(title: str, particulars: Metadata, say: Catalogue) -> Section:
-    """List the positioning system and its offsets, the equipment and the validity."""
+def equipment(title: str, particulars: Metadata, say: Catalogue) -> tuple[Section, ...]:
+    """List the positioning system and its offsets, the equipment and the validity.
+
+    Nothing of it is listed where nothing was stated, unless the ministry's form asks for it.
+    """
     missing = say("ministry.not_determined")
     validity, system = particulars.validity, particulars.gnss_ins
     until = say.date(validity.until) if validity.until else ""
     values = {"receiver": system.receiver, "valid_until": until, "conditions": validity.conditions}
-    rows = tuple((say(f"equipment.{key}"), value or missing) for key, value in values.items())
-    pieces: list[Piece] = [KeyValues(rows), _offsets(particulars, say)]
+    offsets = system.lever_arm_cm is not None or system.boresight_deg is not None
+    asked = bool(particulars.document.form)
+    if not (asked or offsets or particulars.equipment or any(values.values())):
+        return ()
+    rows = tuple(
+        (say(f"equipment.{key}"), value or missing) for key, value in values.items() if value or asked
+    )
+    pieces: list[Piece] = [KeyValues(rows)] if rows else []
+    pieces += [_offsets(particulars, say)] if offsets or asked else []
     if particulars.equipment:
         keys = ("name", "manufacturer", "serial", "use", "calibration")
         listed = ([getattr(item, key) or missing for key in keys] for item in particulars.equipment)
         heads, widths = [f"{key}<" for key in keys], (0.2, 0.18, 0.14, 0.22, 0.26)
         pieces.append(said_table(say, "equipment.table", heads, listed, widths=widths))
-    return Section(title, tuple(pieces))
+    return (Section(title, tuple(pieces)),)
 
 
 def _offsets(particulars: Metadata, say: Catalogue) -> Piece:

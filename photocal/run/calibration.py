@@ -71,6 +71,7 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
                 day,
                 client=keys.client,
                 operator=keys.operator,
+                form=keys.form,
                 key=fingerprint,
                 pictures=told_conditions(facts_of_pictures(project, None)),
                 flown=read_json(work / "flown" / "flown.json"),

@@ -88,6 +88,7 @@ def certificate(
             day,
             client=asked.client,
             operator=asked.operator,
+            form=asked.form,
             key=key.fingerprint if key else "",
             pictures=pictures,
             flown=flown_figures(run),

@@ -248,6 +248,7 @@ class _Text:
         if self.say.language != "en":
             yield "\n[certificate]"
             yield f'language = "{self.say.language}"  # {self.say("new.certificate_language")}'
+            yield f'# form = "br-md"  # {self.say("new.certificate_form")}'
         for left in self.seen.unread[:10]:
             self.missing.append(self.say("new.not_used", text=self.say.refused(left)))
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
-from photocal.findings.document import Signature, TablePart
+from photocal.findings.document import KeyValues, Paragraph, Signature, TablePart
 from photocal.findings.texts import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, read_particulars
@@ -190,3 +190,36 @@ def test_wrong_particulars_are_named(tmp_path: Path, text: str, message: str) ->
 def test_missing_particulars(tmp_path: Path) -> None:
     with pytest.raises(InputNotFoundError):
         read_particulars(tmp_path / "none.toml", DAY)
+
+
+@pytest.mark.parametrize("language", ["en", "pt-BR"])
+def test_the_form_is_filled_in_where_it_is_asked_for(invented_run: AnalysedRun, language: str) -> None:
+    """Elsewhere nobody is told what the Brazilian ministry does not know."""
+    say = catalogue(language)
+
+    def titles(form: str) -> list[str]:
+        """Titles of a certificate of which nobody has stated anything."""
+        return [
+            one.title
+            for one in certificate(invented_run, read_particulars(None, DAY, form=form), say).sections
+        ]
+
+    asked = [say(f"{key}.section") for key in ("acceptance", "equipment", "ministry")]
+    assert [title for title in titles("br-md") if title not in titles("")] == asked
+    with pytest.raises(ConfigurationError, match="form"):
+        read_particulars(None, DAY, form="br")
+
+
+def test_what_nobody_stated_is_one_line(invented_run: AnalysedRun) -> None:
+    say = catalogue("en")
+    made = certificate(invented_run, read_particulars(None, DAY, client="Mapping Ltd"), say)
+    (laboratory,) = [one for one in made.sections if one.title == say("laboratory.section")]
+    rows = next(piece for piece in laboratory.pieces if isinstance(piece, KeyValues)).rows
+    assert ("Customer", "Mapping Ltd") in rows
+    (unstated,) = [
+        piece.text
+        for piece in laboratory.pieces
+        if isinstance(piece, Paragraph) and piece.text.startswith("Not stated: ")
+    ]
+    assert "Laboratory, Place of the work" in unstated
+    assert not {name for name, _ in rows} & set(unstated.removeprefix("Not stated: ").rstrip(".").split(", "))

@@ -55,7 +55,8 @@ def refused(folder: Path, *words: str, error: type[PhotocalError] = InputMalform
 @pytest.mark.parametrize("name", ["result.json", "images.csv", "points.csv", "residuals.csv"])
 def test_missing_file_is_named(run_folder: Path, name: str) -> None:
     (run_folder / name).unlink()
-    refused(run_folder, name, "does not exist", error=InputNotFoundError)
+    why = "has no" if name == "result.json" else "does not exist"
+    refused(run_folder, name, why, error=InputNotFoundError)
 
 
 @pytest.mark.parametrize("name", ["result.json", "images.csv", "points.csv", "residuals.csv"])

@@ -34,7 +34,7 @@ export async function mount(element, context) {
   const values = () => {
     const given = Object.fromEntries([...form.querySelectorAll("[data-particular]")].map((input) => [input.dataset.particular, input.value]));
     const own = (name) => form.querySelector(`[name=${name}]`)?.value ?? "";
-    return { values: given, client: own("client"), operator: own("operator"), language: own("language") };
+    return { values: given, client: own("client"), operator: own("operator"), form: own("form"), language: own("language") };
   };
 
   async function preview() {
@@ -59,6 +59,8 @@ export async function mount(element, context) {
       h("h2", {}, say("certificate.particulars")),
       h("p.hint", {}, say("certificate.told")),
       h("div.fields", {}, own("client", say("field.certificate.client")), own("operator", say("field.certificate.operator")),
+        h("div.field", {}, h("label", { for: "form" }, say("field.certificate.form")),
+          h("select", { id: "form", name: "form", onchange: changed }, ["", "br-md"].map((one) => h("option", { value: one, selected: one === state.form }, say(`choice.certificate.form.${one}`))))),
         h("div.field", {}, h("label", { for: "language" }, say("field.certificate.language")),
           h("select", { id: "language", name: "language", onchange: changed }, ["en", "pt-BR"].map((one) => h("option", { value: one, selected: one === state.language }, say(`choice.certificate.language.${one}`)))),
           h("p.hint", {}, say("certificate.language-rule")))),

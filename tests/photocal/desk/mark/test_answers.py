@@ -156,7 +156,7 @@ def test_the_command_says_what_is_missing(
         (
             ("--images", pictures, "-o", tmp_path / "m.csv", "--run", tmp_path),
             3,
-            "result.json: does not exist",
+            "has no result.json; give the folder that `photocal adjust` wrote",
         ),
         ((survey.file, "--address", "here"), 5, "is not of the form HOST:PORT"),
     ):
