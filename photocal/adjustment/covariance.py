@@ -113,7 +113,7 @@ def shared(at: Factored) -> Shared:
 def degrees_of_freedom(at: Factored) -> int:
     """Count observations and conditions of the datum, less unknowns."""
     network = at.problem.network
-    control = int(np.sum(np.diagonal(network.points.weight, axis1=1, axis2=2) > 0))
+    control = int(np.sum(network.points.observed))
     others = sum(len(rows.weight) for rows in at.others.values())
     return network.rays.plane.size + control + others + len(at.problem.stiffened) - _unknowns(at.problem)
 
@@ -127,7 +127,7 @@ def _control_group(problem: Problem, points: Floats, covariance: Floats) -> Grou
     """Coordinates of points as observations."""
     weight = problem.network.points.weight
     deviation = points - problem.network.points.values
-    count = int(np.sum(np.diagonal(weight, axis1=1, axis2=2) > 0))
+    count = int(np.sum(problem.network.points.observed))
     chi_squared = float(np.einsum("na,nab,nb->", deviation, weight, deviation))
     return Group("control", count, chi_squared, count - float(np.einsum("nab,nba->", weight, covariance)))
 

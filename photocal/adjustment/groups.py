@@ -91,7 +91,7 @@ def groups_of_rays(
 def _control(network: Network, solution: Solution) -> list[Group]:
     """Coordinates of control points by axis; correlated ones share v'Pv by the terms of each."""
     weight, off = network.points.weight, solution.points - network.points.values
-    observed = np.diagonal(weight, axis1=1, axis2=2) > 0
+    observed = network.points.observed
     parts = off * np.einsum("nab,nb->na", weight, off)
     taken = np.einsum("nab,nba->na", weight, solution.point_covariance)
     return [
@@ -134,7 +134,7 @@ def member_tests(at: Factored, solution: Solution) -> tuple[Member, ...]:
         residual = rows.residual.reshape(-1, 3)
         root = np.asarray(np.linalg.cholesky(positions.covariance), dtype=np.float64)
         members += _members("position", positions.image, residual, taken, root, np.ones(residual.shape, bool))
-    observed = np.diagonal(points.weight, axis1=1, axis2=2) > 0
+    observed = points.observed
     control = np.flatnonzero(observed.any(axis=1))
     if len(control):
         observed_axes = observed[control]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -74,6 +75,24 @@ class Points(Columns):
     values: Floats
     held: Flags
     weight: Floats
+
+    @cached_property
+    def observed(self) -> Flags:
+        """Which coordinates are observed, (n, 3): of each point as many as its weights have a rank.
+
+        The vertical of a point is that of the object system nearly, not wholly: where its height is free, the
+        plane coordinates alone give the third axis a weight, too.
+        """
+        weight = np.diagonal(self.weight, axis1=1, axis2=2)
+        observed = np.asarray(weight > 0)
+        known = np.flatnonzero(observed.any(axis=1))
+        # Sigmas of one point differ by less; what is not observed is zero but for rounding.
+        least = 1e-13
+        strengths = np.linalg.eigvalsh(self.weight[known])
+        rank = np.sum(strengths > least * strengths[:, -1:], axis=1)
+        strongest = np.argsort(np.argsort(-weight[known], axis=1, kind="stable"), axis=1)
+        observed[known] &= strongest < rank[:, None]
+        return observed
 
 
 @dataclass(frozen=True)

@@ -77,7 +77,7 @@ def shape(network: Network, state: State) -> Shape:
     order = np.argsort(rays.image, kind="stable")
     each = np.split(distance[order], np.flatnonzero(np.diff(rays.image[order])) + 1)
     median = np.array([np.median(distances) for distances in each])
-    known = network.points.held | (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0.0)
+    known = network.points.held | network.points.observed
     control = np.flatnonzero(known.any(axis=1))
     # All pairs of images, or those of 60 evenly chosen ones.
     chosen = sorted({round(i) for i in np.linspace(0, len(axes) - 1, min(len(axes), 60))})

@@ -91,8 +91,7 @@ class WrongSigmas:
 
 def control_points(network: Network) -> Integers:
     """Points with surveyed coordinates in all three axes."""
-    known = (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0) | network.points.held
-    return np.flatnonzero(known.all(axis=1))
+    return np.flatnonzero((network.points.observed | network.points.held).all(axis=1))
 
 
 def without_control(network: Network) -> Network:

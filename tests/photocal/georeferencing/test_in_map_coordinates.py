@@ -6,11 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from pyproj import Proj, Transformer
 
+import photocal
 from photocal.accuracy.standard import Question
 from photocal.block.folder import read_block
 from photocal.block.model import Block
+from photocal.block.network import assemble
 from photocal.georeferencing.comparison import check_block
 from tests.photocal.georeferencing.flights import Plan, fly
 
@@ -60,3 +63,25 @@ def test_map_coordinates_and_local_ones_agree(tmp_path: Path) -> None:
     np.testing.assert_allclose(indirect[1].check.distance, indirect[0].check.distance, rtol=5e-3, atol=5e-3)
     # Maps are drawn in the given coordinates.
     assert np.all(indirect[1].check.xyz[:, 1] > 7e6)
+
+
+def test_control_without_heights_holds_the_plane_alone(tmp_path: Path) -> None:
+    """Three of nine points have no height; map coordinates are inclined to the object system."""
+    block = read_block(fly(tmp_path / "flight", np.random.default_rng(8), plan=Plan(tie=50)))
+    sigma, values = block.points.sigma.copy(), block.points.values.copy()
+    level = np.flatnonzero(block.points.of_role("control"))[::3]
+    sigma[level, 2] = np.inf
+    # Nobody has measured it: some height near that of the others.
+    values[level, 2] += 5.0
+    local = replace(block, points=replace(block.points, values=values, sigma=sigma))
+    mapped = in_utm(local)
+    results = [photocal.adjust(one) for one in (local, mapped)]
+    assert results[0].degrees_of_freedom == results[1].degrees_of_freedom
+    assert results[1].degrees_of_freedom == photocal.adjust(in_utm(block)).degrees_of_freedom - len(level)
+    assert results[1].chi_squared == pytest.approx(results[0].chi_squared, rel=1e-3)
+    for one, result in zip((local, mapped), results, strict=True):
+        points = assemble(one).network.points
+        assert (points.observed.sum(axis=1) == 2).sum() == len(level)
+        # Neither command blames a height that nobody has stated.
+        assert "control" not in {one.code.split("-")[0] for one in photocal.analyse(one, result).findings}
+        assert {judged.result.method for judged in photocal.check(one).judged} >= {"integrated", "indirect"}
