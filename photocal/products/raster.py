@@ -118,7 +118,7 @@ def _height_kind(source: Any) -> str:
 def terrain_source(raster: RasterFile, height_kind: str) -> Callable[[Bounds], Terrain]:
     """Give a reader of pieces of a terrain model; it may be called from several threads.
 
-    raises InputMalformedError: for a raster without georeference or with more than one band.
+    raises InputMalformedError: for a raster without georeference, with more than one band, or of 8 bits.
     """
     a, b, c, d, e, f = raster.transform
     determinant = a * e - b * d
@@ -127,6 +127,9 @@ def terrain_source(raster: RasterFile, height_kind: str) -> Callable[[Bounds], T
         raise malformed("has no georeference", "give a terrain model with its position")
     if raster.bands != 1:
         raise malformed(f"has {raster.bands} bands, a terrain model has one", "name the model")
+    # Grey values of an orthophoto; heights need more than 256 of them.
+    if raster.dtype == "uint8":
+        raise malformed("has values of 8 bits: it is a picture, not a terrain model", "name the model")
 
     def piece(bounds: Bounds) -> Terrain:
         """Heights of a rectangle, with the cells around it that interpolation needs."""

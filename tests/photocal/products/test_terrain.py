@@ -165,12 +165,13 @@ def test_any_raster_of_gdal_with_scale_and_turned_axes(tmp_path: Path) -> None:
     assert np.isnan(heights[1, 1])
 
 
-def test_what_is_no_terrain_model_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("bands", "said"), [(3, "3 bands"), (1, "a picture, not a terrain model")])
+def test_what_is_no_terrain_model_is_refused(tmp_path: Path, bands: int, said: str) -> None:
     path = tmp_path / "photo.tif"
-    options = {"driver": "GTiff", "width": 3, "height": 3, "dtype": "uint8"}
-    with rasterio.open(path, "w", count=3, transform=rasterio.Affine(1, 0, 0, 0, -1, 3), **options) as target:
-        target.write(np.zeros((3, 3, 3), np.uint8))
-    with pytest.raises(InputMalformedError, match="3 bands"):
+    options = {"driver": "GTiff", "width": 3, "height": 3, "dtype": "uint8", "count": bands}
+    with rasterio.open(path, "w", transform=rasterio.Affine(1, 0, 0, 0, -1, 3), **options) as target:
+        target.write(np.zeros((bands, 3, 3), np.uint8))
+    with pytest.raises(InputMalformedError, match=said):
         terrain_source(describe(path), "local")
 
 
