@@ -71,7 +71,7 @@ def test_an_absent_marks_file_is_told_before_any_work(
     (told,) = (line for line in said.err.splitlines() if "marks-absent" in line)
     assert "The marks file marks.csv does not exist" in told
     # Nothing was adjusted, so that nothing is judged.
-    assert "verdict" not in said.out
+    assert "verdict       none before the stage `analysis`" in said.out
 
 
 def test_marks_of_other_pictures_are_told_before_any_work(
