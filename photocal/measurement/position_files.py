@@ -334,10 +334,12 @@ def is_event_table(path: Path) -> bool:
             return False
         if any(folded(head) in _POINTS for head in read_columns(path).columns.column_names):
             return False
-        listed = _event_table(path)
+        if not heads.has("point"):
+            return True
+        time_s = _event_table(path).time_s
     except PhotocalError:
         return False
-    return not heads.has("point") or float(np.median(np.diff(listed.time_s))) < slowest_s
+    return len(time_s) > 1 and float(np.median(np.diff(time_s))) < slowest_s
 
 
 def _event_table(path: Path) -> ListedPositions:
@@ -348,7 +350,7 @@ def _event_table(path: Path) -> ListedPositions:
     refuse(table, np.isnan(time_s), "the time cannot be read", "write it as 2026-05-14 12:30:05.250")
     if table.has("week"):
         # Times of week are told in milliseconds, too.
-        time_s = time_s / (1e3 if time_s.max() > WEEK_S else 1.0) + table.numbers("week") * WEEK_S
+        time_s = time_s / (1e3 if time_s.max(initial=0.0) > WEEK_S else 1.0) + table.numbers("week") * WEEK_S
     values = np.hstack([table.matrix("YXZ"), table.matrix(("sX", "sY", "sZ"), empty=np.nan)])
     lines = tuple(table.place(row).rpartition(", ")[2] for row in range(len(table)))
     return ListedPositions(lines, time_s, values[:, :3], values[:, 3:], np.full(len(lines), -1))
@@ -419,7 +421,8 @@ def _of_events(path: Path, pictures: Sequence[ImageFacts]) -> PlacesOfPictures:
         _require_times(by_number, by_time, lines, path)
         return PlacesOfPictures({name: places[row] for name, row in by_number.items()}, "number")
     if by_time:
-        left = tuple(lines[row] for row in own.tolist() if row not in by_time.values())
+        taken = set(by_time.values())
+        left = tuple(lines[row] for row in own.tolist() if row not in taken)
         return PlacesOfPictures({name: places[row] for name, row in by_time.items()}, "time", rival, left)
     return PlacesOfPictures(_in_order(places, own, listed, pictures, reason, path), "order")
 

@@ -111,6 +111,20 @@ def event_table(path: Path, head: str, rows: Sequence[int]) -> Path:
     return path
 
 
+def test_one_line_with_a_number_is_no_event_list(tmp_path: Path) -> None:
+    """Of a single row nobody sees how fast they follow each other."""
+    path = tmp_path / "table.csv"
+    path.write_text("id,time,lat,lon,h\n1,10.5,47.6,16.4,500\n")
+    assert not is_event_table(path)
+
+
+def test_a_line_of_events_without_a_week_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "events.csv"
+    path.write_text("week,tow,lat,lon,h\n2418,374418,47.6,16.4,500\n,374420,47.6,16.4,500\n")
+    with pytest.raises(InputMalformedError, match=r"events\.csv, line 3: week is empty"):
+        read_positions(path, taken(*SECONDS[:2]))
+
+
 @pytest.mark.parametrize("time", ["inf", "1e999", "-inf", "nan", "25:61", "9" * 400])
 def test_a_time_that_is_none_is_refused(tmp_path: Path, time: str) -> None:
     path = event_table(tmp_path / "events.csv", HEADS[1], range(5))
