@@ -1,11 +1,11 @@
-"""Study: two hours of flight, ten times as fast, through the recorder.
+"""Study: 24 hours of flight, twenty times as fast, through the recorder.
 
 Writes `docs/evidence/long-flight.md`. The devices of a simulated flight (autopilot by UDP, rover and base
-on pseudo terminals) play two hours in twelve minutes; `acquire record`, a process of its own, records them as
-hardware. Every frame in the log is compared with what was sent; memory and processor time of the recorder
-are those that the system tells (proc(5)).
+on pseudo terminals) play a day in 72 minutes; `acquire record`, a process of its own, records them as
+hardware and begins a new file every two hours of flight. Every frame in the files is compared with what was
+sent; memory, descriptors and processor time of the recorder are those that the system tells (proc(5)).
 
-Run: `make evidence`, or `python -m tests.evidence.long_flight [SPEED]`.
+Run: `make evidence`, or `python -m tests.evidence.long_flight [SPEED [HOURS]]`; HOURS is even.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from acquire.simulate.playback import FlightClock, PlayedFlight, read_flight
 from acquire.simulate.world.streams import RecordedWire
 from tests.acquire.live import Recorder, free_port
 
-HOURS_S = 7200.0
-SPEED = 10.0
+HOURS, SPEED = 24, 20.0
+FILE_HOURS = 2
 LOOK_EVERY_S = 1.0
 OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "long-flight.md"
 FLIGHT = """
-name = "two hours over a field"
+name = "a day over a field"
 seed = 9
 level = "observations"
 
@@ -50,12 +50,6 @@ longest_m = 300.0
 [plan]
 area_m = [[-300.0, -250.0], [300.0, -250.0], [300.0, 250.0], [-300.0, 250.0]]
 take_off_m = [-310.0, -255.0]
-
-[[plan.pass]]
-height_m = 60.0
-course_deg = 90.0
-speed_m_s = 2.8
-side_overlap = 0.8
 
 [camera]
 id = "SIM-0"
@@ -78,6 +72,14 @@ side_m = 1.6
 [gnss]
 base_m = [-320.0, -260.0]
 """
+# The field is flown over once in some two hours.
+OVERFLIGHT = """
+[[plan.pass]]
+height_m = 60.0
+course_deg = 90.0
+speed_m_s = 2.8
+side_overlap = 0.8
+"""
 
 
 @dataclass(frozen=True)
@@ -91,16 +93,16 @@ class Compared:
     in_order: bool
 
 
-def two_hours(folder: Path) -> PlayedFlight:
-    """Fly, and cut the streams after two hours."""
+def flown(folder: Path, hours: int) -> PlayedFlight:
+    """Fly, and cut the streams after some hours."""
     path = folder / "flight.toml"
-    path.write_text(FLIGHT, encoding="utf-8")
+    path.write_text(FLIGHT + OVERFLIGHT * (hours // 2), encoding="utf-8")
     flight = read_flight(path)
-    if flight.end_s < HOURS_S:
+    if flight.end_s < hours * 3600:
         raise SystemExit(f"the flight lasts {flight.end_s:.0f} s only")
     lines = {}
     for name, line in flight.lines.items():
-        count = int(np.searchsorted(line.arrival_s, HOURS_S))
+        count = int(np.searchsorted(line.arrival_s, hours * 3600))
         lines[name] = RecordedWire(line.arrival_s[:count], line.frames[:count])
     return replace(flight, lines=lines)
 
@@ -117,9 +119,14 @@ def processor_s(pid: int) -> float:
     return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def compared(name: str, line: RecordedWire, log: Path) -> Compared:
+def descriptors(pid: int) -> int:
+    """Return how many files, ports and sockets a process has open."""
+    return len(list(Path(f"/proc/{pid}/fd").iterdir()))
+
+
+def compared(name: str, line: RecordedWire, logs: Iterable[Path]) -> Compared:
     """Compare a link with what was sent; the numbers of an autopilot's frames go on through its answers."""
-    found = [frame for _, frame in raw_frames(log, name)]
+    found = [frame for log in logs for _, frame in raw_frames(log, name)]
     vehicle = name == "vehicle"
     sent = Counter(map(_content, line.frames) if vehicle else line.frames)
     kept = Counter(map(_content, found) if vehicle else found)
@@ -151,37 +158,43 @@ def table(rows: Iterable[tuple[str, str]]) -> list[str]:
 def main() -> None:
     """Run the study and write its page."""
     speed = float(sys.argv[1]) if len(sys.argv) > 1 else SPEED
+    hours = int(sys.argv[2]) if len(sys.argv) > 2 else HOURS
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        flight = two_hours(folder)
+        flight = flown(folder, hours)
         sys.stderr.write(f"flying {flight.end_s:.0f} s at {speed:g} times\n")
         clock = FlightClock(awaited(flight), speed)
         memory: list[float] = []
+        opened: list[int] = []
         with on_ports(flight, clock, udp_port=free_port()) as urls:
             settings = folder / "record.toml"
-            settings.write_text(record_settings(flight, urls, Path("log")), encoding="utf-8")
+            written = record_settings(flight, urls, Path("log"))
+            rotation = f"[recording]\nrotate_min = {FILE_HOURS * 60 / speed}\n"
+            settings.write_text(written.replace("[recording]\n", rotation), encoding="utf-8")
             with Recorder(settings) as recorder:
                 pid, begun = recorder.process.pid, time.monotonic()
                 while clock.flight_s() < flight.end_s:
                     time.sleep(LOOK_EVERY_S)
                     memory.append(resident_mb(pid))
+                    opened.append(descriptors(pid))
                 # What the devices said last is on its way.
                 time.sleep(2 * LOOK_EVERY_S)
                 lasted, busy = time.monotonic() - begun, processor_s(pid)
                 figures = recorder.figures()
-        log = recorder.path
-        size_mb = log.stat().st_size / 1e6
-        links = {name: compared(name, line, log) for name, line in flight.lines.items()}
+        logs = sorted(recorder.path.parent.glob("*.mcap"))
+        size_mb = sum(log.stat().st_size for log in logs) / 1e6
+        links = {name: compared(name, line, logs) for name, line in flight.lines.items()}
     told = [f"{a['link']} {a['text']}" for a in figures["alarms"] if a["kind"] != "note"]
     # The first tenth is warming up: modules, tables of messages.
     settled = np.array(memory[len(memory) // 10 :])
-    parts = np.array_split(settled, 4)
+    quarters = [np.array_split(settled, 4), np.array_split(np.array(opened[len(opened) // 10 :]), 4)]
     lines = [
-        "# Two hours of flight through the recorder",
+        f"# {hours} hours of flight through the recorder",
         "",
         f"A simulated flight of {flight.end_s / 3600:.2f} h (autopilot by UDP, rover and base on pseudo",
         f"terminals) is played {speed:g} times as fast and recorded by `acquire record` in a process of",
-        "its own. Required: nothing lost, constant memory. Frames are compared with what was sent;",
+        f"its own. A new file begins every {FILE_HOURS} hours of flight.",
+        "Required: nothing lost, constant memory. Frames are compared with what was sent;",
         "`others` are frames that were neither sent by the flight nor are answers to the recorder.",
         "",
         "| link | frames sent | MB | missing | others | in their order |",
@@ -195,14 +208,15 @@ def main() -> None:
         *table(
             [
                 ("the recording took", f"{lasted:.0f} s"),
-                ("log", f"{size_mb:.0f} MB"),
+                ("files, MB", f"{len(logs)}, {size_mb:.0f}"),
                 ("bytes of damage", f"{sum(link['damage_bytes'] for link in figures['links'])}"),
                 ("alarms", "; ".join(told) or "none"),
                 (
                     "memory in each quarter, greatest",
-                    ", ".join(f"{part.max():.1f}" for part in parts) + " MB",
+                    ", ".join(f"{part.max():.1f}" for part in quarters[0]) + " MB",
                 ),
                 ("memory at the end against the first tenth", f"{settled[-1] / settled[0] - 1:+.1%}"),
+                ("descriptors in each quarter, greatest", ", ".join(f"{part.max()}" for part in quarters[1])),
                 ("processor time", f"{100 * busy / lasted:.0f} % of one core"),
             ]
         ),
