@@ -213,7 +213,16 @@ def _version(asked: bool) -> None:
 
 def option(text: str, *names: str, **settings: Any) -> Any:
     """Describe an option of a command: its help, and its names where they are not that of the parameter."""
+    if "--lang" in names:
+        settings["callback"] = _asked_language
     return typer.Option(*names, help=text, **settings)
+
+
+def _asked_language(language: str) -> str:
+    """Refuse a language without texts before the work of a command, not where its texts are written."""
+    from photocal.base.sentences import known_language
+
+    return known_language(language) if language else ""
 
 
 def argument(text: str, **settings: Any) -> Any:

@@ -135,15 +135,18 @@ def spoken_to(arguments: Sequence[str]) -> str:
     return language if language in LANGUAGES else spoken()
 
 
-def read_texts(package: str, name: str, language: str) -> dict[str, str]:
-    """Read a file of texts by their dotted keys.
-
-    raises ConfigurationError: for a language that there are no texts in.
-    """
+def known_language(language: str) -> str:
+    """Return a language; raises ConfigurationError for one that there are no texts in."""
     if language not in LANGUAGES:
         raise ConfigurationError(
             f"no texts in language {language!r}", f"choose one of {', '.join(LANGUAGES)}"
         )
+    return language
+
+
+def read_texts(package: str, name: str, language: str) -> dict[str, str]:
+    """Read a file of texts by their dotted keys; raises as `known_language`."""
+    known_language(language)
     text = resources.files(package).joinpath(f"{name}_{language}.toml").read_text(encoding="utf-8")
     return dict(_flat(tomllib.loads(text), ""))
 

@@ -154,6 +154,8 @@ def ortho(
         raise ConfigurationError(f"--resampling {asked.resampling} is not known", f"use {', '.join(methods)}")
     if asked.heights is not None and asked.heights not in HEIGHT_KINDS:
         raise ConfigurationError(f"--heights {asked.heights} is not known", f"use {', '.join(HEIGHT_KINDS)}")
+    if Path(output).suffix.lower() not in (".tif", ".tiff"):
+        raise ConfigurationError(f"{output} has no known extension", "use .tif, .tiff")
     refuse_input_as_output(Path(output), Path(dtm))
     model_of_terrain, remarks = _terrain_file(Path(dtm), asked)
     model, frame, shots = oriented(Path(block), asked.run)

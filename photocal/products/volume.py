@@ -22,6 +22,8 @@ from photocal.products.options import VolumeOptions
 from photocal.products.sections import RingPoints, Tank, volume_between_sections
 
 Shape = Literal["curve", "polygon"]
+# No tank is so wide: its coordinates may be millimetres or feet.
+_WIDE_M = 1000.0
 
 
 def outline_form(points: Floats, shape: Shape) -> Floats:
@@ -208,10 +210,19 @@ def _section_table(sections: list[dict[str, Any]], say: Catalogue) -> TablePart:
 
 def _lines(of: dict[str, Any], say: Catalogue) -> Iterator[str]:
     """Write what is computed from all sections, a line each."""
+    wide = 2.0 * np.sqrt(max((one["area_m2"] for one in of.get("sections", ())), default=0.0) / np.pi)
+    if wide > _WIDE_M:
+        yield say.told("volume.wide", wide=wide)
     if "mean_radius_m" in of:
-        tests = {one["section"]: one["global_test"] for one in of["sections"]}
-        if doubtful := [name for name, test in tests.items() if test is not None and not test["accepted"]]:
-            yield say("volume.no_circle", names=", ".join(doubtful))
+        rejected = [
+            one for one in of["sections"] if one["global_test"] and not one["global_test"]["accepted"]
+        ]
+        rough = [one["section"] for one in rejected if one["variance_factor"] > 1.0]
+        smooth = [one["section"] for one in rejected if one["variance_factor"] < 1.0]
+        if rough:
+            yield say("volume.no_circle", names=", ".join(rough))
+        if smooth:
+            yield say("volume.too_good", names=", ".join(smooth))
         wall = 1e3 * of["wall_thickness_m"]
         inside = say.told("volume.inside", wall=wall) if wall else ""
         sizes = {"radius": of["mean_radius_m"], "sigma": of["mean_radius_sigma_m"]}

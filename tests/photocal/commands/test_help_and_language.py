@@ -16,7 +16,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json, finding_text, plain, spoken
 from photocal.findings.verdict import judge, verdict_json, verdict_text
 from photocal.run.summary import summary, summary_text
-from tests.docs.command_pages import commands
+from tests.docs.command_pages import Command, commands
 
 ENGLISH, PORTUGUESE = catalogue("en"), catalogue("pt-BR")
 FOUND = Finding("no-control", "doubtful", stage="block")
@@ -128,6 +128,21 @@ def test_the_option_counts_before_the_environment(
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     assert spoken(asked) == language
+
+
+@pytest.mark.parametrize(
+    "one", [one for one in commands() if "language" in {p.name for p in one.command.params}]
+)
+def test_a_language_without_texts_is_refused_first(one: Command, tmp_path: Path) -> None:
+    """Before anything is read or written: of all that these calls name nothing exists."""
+    program, *called = one.name.split()
+    app = acquire_app if program == "acquire" else photocal_app
+    given = [
+        str(tmp_path / p.name) for p in one.command.params if p.required and p.param_type_name == "argument"
+    ]
+    refused = CliRunner().invoke(app, [*called, *given, "--lang", "fr"])
+    assert "no texts in language 'fr'" in str(refused.exception)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_summary_is_said_in_both_languages(tmp_path: Path) -> None:

@@ -278,6 +278,7 @@ def test_the_file_is_a_tiled_geotiff(photocal: Callable[..., Any], tmp_path: Pat
         (["--cell", "0"], 5, "positive length"),
         (["--cell", "0.001"], 5, "far finer than the images"),
         (["--resampling", "lanczos"], 5, "use nearest, bilinear, cubic"),
+        (["-o", "ortho.jpg"], 5, "use .tif, .tiff"),
         (["--crs", "EPSG:4326"], 5, "different reference systems"),
         (["--crs", "nowhere"], 5, "not a known reference system"),
         (["--heights", "orthometric"], 5, "the block has local heights"),

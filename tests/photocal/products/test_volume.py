@@ -146,7 +146,8 @@ def test_plot_and_text(tank_table: str, tmp_path: Path) -> None:
         told = CliRunner().invoke(app, [*arguments, "--plot", str(tmp_path / name)])
         assert told.exit_code == 0
     assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
-    assert "section 1, 4, 5 lies outside its 95 % interval" in told.output
+    assert "section 4, 5 lies above its 95 % interval: no circle" in told.stdout
+    assert "section 1 lies below its 95 % interval: the stated sigmas are too large" in told.stdout
     assert "by mean radius and height: V = 1252.6" in told.output
     figures = json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout)
     assert figures["schema"] == "photocal.volume/1"
@@ -154,6 +155,20 @@ def test_plot_and_text(tank_table: str, tmp_path: Path) -> None:
     assert figures["by_mean_radius"]["volume_m3"] == pytest.approx(
         np.pi * figures["mean_radius_m"] ** 2 * TANK_HEIGHT
     )
+
+
+def test_too_large_sigmas_and_millimetres_are_told(tank_table: str, tmp_path: Path) -> None:
+    table = tmp_path / "sections.csv"
+    table.write_text(tank_table, encoding="utf-8")
+    told = CliRunner().invoke(app, ["volume", str(table), "--sigma", "0.5"]).stdout
+    assert "below its 95 % interval: the stated sigmas are too large" in told
+    assert "no circle" not in told
+    head, *lines = tank_table.splitlines()
+    places = [line.split(",") for line in lines]
+    in_mm = [",".join([*line[:2], *(str(1e3 * float(x)) for x in line[2:5]), *line[5:]]) for line in places]
+    table.write_text("\n".join([head, *in_mm]) + "\n", encoding="utf-8")
+    told = CliRunner().invoke(app, ["volume", str(table), "--sigma", "14"]).stdout
+    assert "are the coordinates in metres?" in told
 
 
 TABLE = "section,point,X,Y,Z\na,1,1,0,0\na,2,0,1,0\na,3,-1,0,0\na,4,0,-1,0\n"
