@@ -10,7 +10,7 @@ from typing import Any
 from photocal.base.errors import PhotocalError
 from photocal.exchange.formats import read_any_block
 from photocal.findings.finding import Finding
-from photocal.findings.texts import Catalogue, catalogue, finding_text, plain
+from photocal.findings.texts import Catalogue, catalogue, finding_text, plain, subject_text
 from photocal.findings.verdict import Verdict
 from photocal.report.certificate import overall
 from photocal.report.certificate_metadata import Metadata
@@ -81,7 +81,7 @@ def repeated_findings(
             amiss[examined and not (unchecked and finding.stage == "georeferencing")].append(text)
     for finding in told:
         if finding.stage in found and not any(same_matter(finding, other) for other in again):
-            amiss[True].append(say("verified.not_found", name=f"{finding.code} {finding.subject}".strip()))
+            amiss[True].append(say("verified.not_found", name=_named(finding, say)))
     known = tuple(derived_figures(run, camera, particulars) for camera in run.result.cameras)
     return RepeatedFindings(
         overall(run, known, again),
@@ -116,14 +116,21 @@ def _fixed_percent(findings: list[Finding]) -> float:
 
 def _amiss(finding: Finding, told: tuple[Finding, ...], say: Catalogue) -> str:
     """Say what a certificate does not tell of a finding as it is; empty where it does."""
-    name = f"{finding.code} {finding.subject}".strip()
+    name = _named(finding, say)
     other = next((other for other in told if same_matter(finding, other)), None)
     if other is None:
         return say("verified.not_stated", name=name, text=finding_text(finding, say, plain))
     if other.severity != finding.severity:
-        return say("verified.stated_otherwise", name=name, stated=other.severity, found=finding.severity)
+        stated, found = say.term(other.severity), say.term(finding.severity)
+        return say("verified.stated_otherwise", name=name, stated=stated, found=found)
     places = [key for key in (*finding.figures, *other.figures) if not _alike(finding, other, key)]
     return say("verified.stated_with", name=name, figure=places[0]) if places else ""
+
+
+def _named(finding: Finding, say: Catalogue) -> str:
+    """Name what a finding is about, and its subject."""
+    topic, subject = say.term(finding.code), finding.subject
+    return f"{topic} ({subject_text(finding, subject, say)})" if subject else topic
 
 
 def _alike(finding: Finding, other: Finding, key: str) -> bool:

@@ -116,9 +116,7 @@ def test_emptied_warnings_do_not_make_a_clean_verdict(
     code, answer = said(photocal, folder)
     assert code == 11
     assert answer["verdict"]["code"] == "usable-with-reservations"
-    assert any(
-        line.startswith("not stated: check-outside-prediction indirect") for line in answer["not_told"]
-    )
+    assert any(line.startswith("not stated: check points (indirect)") for line in answer["not_told"])
     taken = {"date 2031-01-01", "document.client Another client", "camera.serial SN-FORGED"}
     taken |= {f"findings of {stage}: none stated" for stage in ("ppk", "exposures", "measurements")}
     assert {*taken, "laboratory.traceability national standard"} <= set(answer["not_repeated"])
@@ -152,13 +150,13 @@ def elsewhere(finding: Finding) -> Finding:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        (told_otherwise(fewer), "not stated: check-outside-prediction indirect"),
-        (told_otherwise(softer), "is stated as note and is doubtful"),
-        (told_otherwise(smaller), "is stated with another ratio"),
-        (told_otherwise(elsewhere), "is stated with another points"),
+        (told_otherwise(fewer), "not stated: check points (indirect)"),
+        (told_otherwise(softer), "check points (indirect): stated as a note, found to be doubtful"),
+        (told_otherwise(smaller), ": stated with another ratio"),
+        (told_otherwise(elsewhere), ": stated with another points"),
         (
             lambda work: (*gather(work), Finding("no-control", "note", stage="georeferencing")),
-            "no-control is stated and was not found",
+            "no control points: stated, not found",
         ),
     ],
 )
