@@ -228,7 +228,7 @@ def main() -> None:
         f"connection. The clock of the recorder is set by {settings} s (the first step is that of an",
         f"inserted leap second). A new file begins after {ROTATE_MIN * 60:g} s or {ROTATE_MB:g} MB.",
         "Required: nothing lost, constant memory and number of descriptors. What a day does to a recorder",
-        "(connections, files, clocks) is compressed into minutes; 24 hours of flight, 20 times as fast, are in",
+        "(connections, files, clocks) is compressed into minutes; 24 hours of flight are in",
         "[long-flight.md](long-flight.md).",
         "",
         "| | |",
