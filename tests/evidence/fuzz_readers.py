@@ -11,6 +11,7 @@ own and are added up in the tally, from which the page is written.
 
 from __future__ import annotations
 
+import datetime as dt
 import gzip
 import json
 import resource
@@ -52,6 +53,7 @@ from photocal.navigation.engine import read_solution
 from photocal.navigation.events import read_mrk
 from photocal.navigation.precise_results import read_observation_file
 from photocal.project import read_project
+from photocal.report.certificate_metadata import read_particulars
 from photocal.results.adjusted_block import adjusted_block
 from photocal.results.folder import read_result
 from tests.photocal.exchange import test_rigs
@@ -132,7 +134,7 @@ def _call(program: object, *words: object) -> None:
     assert done.exit_code == 0, done.output
 
 
-def _readers(folder: Path) -> Iterator[Reader]:
+def readers(folder: Path) -> Iterator[Reader]:
     """Write the files that are damaged, and say what reads each."""
     block = folder / "block"
     shutil.copytree(ROOT / "photocal" / "demo" / "dcs460", block)
@@ -173,12 +175,16 @@ def _exported(run: Path, folder: Path) -> Iterator[Reader]:
         out = folder / f"as-{form.name}"
         if CliRunner().invoke(app, ["export", str(run), "--format", form.name, "-o", str(out)]).exit_code:
             continue
+        if form.name == "jaicov":
+            # Nothing else states the precision of the image coordinates.
+            (out / "block.htm").write_text("<p>S0 apriori: 0.5</p>")
         files = sorted(p for p in out.rglob("*") if p.is_file() and p.stat().st_size < LARGEST)
         for path in files[:MOST_FILES]:
             kind = kinds.get(path.suffix, "tables")
             if form.reads:
                 yield Reader(kind, path, _of_folder(form.read, out))
-            if form.reads and form.detect(path):
+            # Cameras alone are no reconstruction.
+            if form.reads and form.detect(path) and path.name != "cameras.json":
                 yield Reader(kind, path, form.read)
             if form.name == "odm":
                 yield Reader(kind, path, read_gcp_list if path.name == "gcp_list.txt" else read_geo)
@@ -219,8 +225,9 @@ def _flight(folder: Path) -> Iterator[Reader]:
     """Files of a simulated flight: project, configuration, logs, archives."""
     practice = folder / "practice"
     _call(acquire_app, "simulate", "flight", "small", "--level", "observations", "-o", practice)
-    for path in sorted((practice / "site").glob("*.toml")):
-        yield Reader("TOML", path, read_project)
+    yield Reader("TOML", practice / "site" / "project.toml", read_project)
+    of_person = practice / "site" / "particulars.toml"
+    yield Reader("TOML", of_person, lambda p: read_particulars(p, dt.date(2026, 5, 18)))
     yield Reader("TOML", practice / "truth" / "flight.toml", read_flight)
     settings = folder / "record.toml"
     settings.write_text(
@@ -238,7 +245,7 @@ def _flight(folder: Path) -> Iterator[Reader]:
         packed = folder / f"packed{path.suffix}.gz"
         packed.write_bytes(gzip.compress(data))
         yield Reader("archives", packed, lambda p: _imported(p))
-        log = folder / f"log{path.suffix}.mcap"
+        log = folder / f"log-{path.name}.mcap"
         _call(acquire_app, "import", short, "-o", log)
         yield Reader("MCAP", log, lambda p: summarise(p, dialect))
         yield Reader("MCAP", log, lambda p: recover(p, p.with_name("fixed.mcap")))
@@ -254,6 +261,19 @@ def _flight(folder: Path) -> Iterator[Reader]:
     yield Reader(
         "tables", events, lambda p: read_positions(p, [ImageFacts(f"a{k}.jpg", (64, 48)) for k in range(8)])
     )
+    # Two lines more than pictures, which know their times: the events are matched.
+    moments = np.cumsum([0.0, 2.1, 3.0, 2.4, 1.9, 2.7, 3.3, 2.2, 2.6, 3.1])
+    taken = [f"2026-05-18T10:{int(s) // 60:02d}:{s % 60:06.3f}" for s in moments]
+    pictures = [
+        ImageFacts(f"a{k}.jpg", (64, 48), taken=moment, latitude_deg=47.64 + k * 1e-5, longitude_deg=16.47)
+        for k, moment in enumerate(taken[1:-1])
+    ]
+    table = folder / "events.csv"
+    rows = [
+        f"{moment},{47.64 + k * 1e-5:.7f},16.47,512.9,0.02,0.02,0.04" for k, moment in enumerate(taken, -1)
+    ]
+    table.write_text("\n".join(["time,latitude,longitude,height,sE,sN,sh", *rows]) + "\n")
+    yield Reader("tables", table, lambda p: read_positions(p, pictures))
     rinex = ROOT.parent / "shared" / "data" / "gnss-rinex-static-known" / "rover.obs"
     if rinex.is_file():
         short = folder / "short.obs"
@@ -321,9 +341,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         tally_file = Path(sys.argv[3]) if len(sys.argv) > 3 else Path(scratch) / "tally.json"
         tally = json.loads(tally_file.read_text()) if tally_file.is_file() else []
-        readers = list(_readers(Path(scratch)))
+        attacked = list(readers(Path(scratch)))
         _limit_memory()
-        for number, reader in enumerate(readers):
+        for number, reader in enumerate(attacked):
             chance = np.random.default_rng([portion, number])
             tally.append({"reader": number} | _attack(reader, chance, seconds))
             sys.stderr.write(f"{reader.file.name} {tally[-1]}\n")

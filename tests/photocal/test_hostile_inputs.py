@@ -30,6 +30,7 @@ from photocal.measurement.marks import read_any_marks, read_control_marks
 from photocal.planning.area import read_area
 from photocal.project import read_project
 from photocal.report.issue import read_record
+from tests.evidence.fuzz_readers import readers
 
 DEEP = 200_000
 TEXTS = {
@@ -158,3 +159,12 @@ def test_tiles_of_impossible_levels_are_refused(tmp_path: Path) -> None:
     for level in (2_000_000_000, 17, -1):
         with little_memory(), pytest.raises(PhotocalError, match="no such tile"):
             tiles.tile(path, level, 0, 0)
+
+
+@pytest.mark.slow
+def test_every_reader_of_the_study_reads_its_file_while_it_is_whole(tmp_path: Path) -> None:
+    """Else the damage (`tests.evidence.fuzz_readers`) would only be refused at the door."""
+    attacked = list(readers(tmp_path))
+    assert len(attacked) > 80
+    for one in attacked:
+        one.read(one.file)

@@ -157,7 +157,7 @@ def pix4d(folder: Path, given: Block) -> None:
     for k in marked:
         there = given.points.values[k] + OFFSET
         # Of manual tie points one has zeros, the other what the program computed in an earlier state.
-        earlier = {manual[0]: np.zeros(3), manual[1]: there - np.array([0, 0, 0.28])}
+        earlier = dict(zip(manual, (np.zeros(3), there - np.array([0, 0, 0.28])), strict=False))
         measured = earlier.get(k, there)
         weight = 1.0 if k in manual else 0.9999997
         ground.append(", ".join([given.points.names[k], *digits([*measured, *there, weight]), "4"]))
