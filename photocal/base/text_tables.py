@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError, InputNotFoundError, OutputError
+from photocal.base.layers import SUFFIXES, file_of, read_layer
 
 # As spreadsheets of half the world write them: 1234,5 and 1.234,5.
 _COMMA = r"[+-]?(\d+|\d{1,3}(\.\d{3})+)(,\d+)?([eE][+-]?\d+)?"
@@ -40,7 +41,7 @@ class TextTable:
 
     lines: whether rows can be named by their line.
     separator: of the cells; where it is no comma, numbers may have a decimal comma.
-    titles: lines before the heads, which have no cells.
+    titles: lines before the heads, which have no cells; rows of a sheet with these.
     heads: of columns that got other names: as they stand in the file.
     kept: rows of the file that the table has; none where it has all.
     """
@@ -64,7 +65,7 @@ class TextTable:
         """Name a row for a message."""
         row = self.kept[row] if self.kept else row
         if not self.lines:
-            return f"{self.path}, row {row + 1}"
+            return f"{self.path}, row {self.titles + row + 1}"
         # Lines without content are skipped when reading, so that rows and lines may differ.
         seen = -1
         with self.path.open(encoding="utf-8", errors="replace") as text:
@@ -245,8 +246,13 @@ def shortened(head: str) -> str:
 
 def read_columns(path: Path) -> TextTable:
     """Read a table whatever its columns are called; errors as of `read_table`."""
-    require_file(path)
-    table = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
+    require_file(file_of(path))
+    if file_of(path).suffix.lower() in SUFFIXES:
+        columns, above = read_layer(path)
+        # Cells are apart without commas.
+        table = TextTable(path, columns, lines=False, separator="", titles=above)
+    else:
+        table = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
     if not len(table):
         raise InputMalformedError("has no rows", "was it written completely?", where=path)
     return table

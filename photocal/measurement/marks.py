@@ -14,7 +14,9 @@ from photocal.adjustment.network import covariance_matrices
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.geodesy import enu_axes
-from photocal.base.text_tables import folded, read_table, refuse
+from photocal.base.layers import SUFFIXES as LAYERS
+from photocal.base.layers import file_of
+from photocal.base.text_tables import folded, read_table, read_under, refuse
 from photocal.block.model import NO_POINTS, Block, ObjectPoints, Role
 from photocal.exchange.ground_points import read_gcp_list, read_gcp_rows
 from photocal.exchange.metashape import markers
@@ -293,8 +295,8 @@ def _chunk(path: Path) -> Element:
     malformed = InputMalformedError.at(path)
     if not chunks:
         raise malformed(
-            "is not an XML file of Metashape's markers, the only XML that is supported",
-            "from Pix4D export the marks as text (*.txt or *.csv: image, point, x, y)",
+            "is not an XML file of Metashape's markers",
+            "export points as CSV (name, east, north, height), and marks as CSV (image, point, x, y)",
         )
     if len(chunks) != 1:
         raise malformed(
@@ -401,7 +403,7 @@ def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
 
 
 def read_any_marks(path: Path, sizes: Mapping[str, tuple[int, int]]) -> tuple[Mark, ...]:
-    """Read marks of ours, of Pix4D, of Metashape (XML or table), gcp_list.txt or OpenSfM's control.
+    """Read marks of ours, of Pix4D, of Metashape (XML or table), gcp_list.txt, OpenSfM's control or a sheet.
 
     A table of Pix4D has image, point, x, y and no head; its fifth column is the zoom in one program and an
     accuracy in another, and is not used. Tables of Metashape's scripts have a head and the same order. In
@@ -409,7 +411,9 @@ def read_any_marks(path: Path, sizes: Mapping[str, tuple[int, int]]) -> tuple[Ma
     taken as ours.
     """
     kind = path.suffix.lower()
-    if kind == ".xml":
+    if file_of(path).suffix.lower() in LAYERS:
+        marks = _sheet(path)
+    elif kind == ".xml":
         marks = _marks(_chunk(path), path)
     elif kind == ".json":
         marks = read_control_marks(path, (1.0, 1.0), sizes).marks
@@ -494,6 +498,17 @@ def _text(path: Path) -> tuple[Mark, ...]:
     # In all others the corner of that pixel is (0, 0).
     pixels = from_corner(np.array([(mark.x, mark.y) for mark in marks]).reshape(-1, 2))
     return tuple(replace(mark, x=x, y=y) for mark, (x, y) in zip(marks, pixels.tolist(), strict=True))
+
+
+def _sheet(path: Path) -> tuple[Mark, ...]:
+    table = read_under(path, dict(MARK_HEADS), _OWN)
+    pixels = table.matrix("xy")
+    if tuple(table.heads.values()) != _OWN:
+        pixels = from_corner(pixels)
+    rows = zip(table.texts("image"), table.texts("point"), pixels.tolist(), strict=True)
+    return tuple(
+        Mark(image, point, x, y, _BY_HAND, table.place(k)) for k, (image, point, (x, y)) in enumerate(rows)
+    )
 
 
 def _order(head: Sequence[str], path: Path) -> tuple[int, ...] | None:

@@ -82,6 +82,11 @@ def read_places(
     """
     height = _height_column(path, heads["Z"])
     table = read_under(path, {**heads, "Z": (height,)}, (*required, "point", *"XYZ"))
+    if table.heads["point"] == table.heads["Y"]:
+        # N may head numbers and norths.
+        raise InputNotFoundError(
+            "has no column with the names of the points", "write name at its head", where=path
+        )
     rows = list(zip(*(table.texts(name) for name in ("point", *"XYZ")), strict=True))
     filled = [k for k, row in enumerate(rows) if any(row)]
     if filled and _is_units(rows[filled[0]]):
@@ -125,7 +130,7 @@ def read_places(
         kind = "ellipsoidal"
     only = table.only([filled[n] for n in kept])
     control = ControlMarks(
-        "EPSG:4326" if degrees else _stated_system(path, len(rows)),
+        _stated_system(path, len(rows), degrees=degrees) or ("EPSG:4326" if degrees else ""),
         refused=tuple(refused),
         unit_m=plane,
         height=kind,
@@ -181,8 +186,8 @@ def _as_ellipsoidal(path: Path, table: TextTable, rows: Sequence[int], heights: 
     return False
 
 
-def _stated_system(path: Path, rows: int) -> str:
-    """The system that a column of the table names for all its rows; empty without one of the register."""
+def _stated_system(path: Path, rows: int, *, degrees: bool) -> str:
+    """The system that a column of the table names for all its rows; empty without one of that kind."""
     from pyproj.exceptions import CRSError
 
     from photocal.geometry.frames import system_of
@@ -198,10 +203,9 @@ def _stated_system(path: Path, rows: int) -> str:
         return ""
     (text,) = named
     try:
-        system_of(text)
+        return text if system_of(text).is_geographic == degrees else ""
     except CRSError:
         return ""
-    return text
 
 
 def unit_of_head(head: str) -> float | None:

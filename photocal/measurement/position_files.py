@@ -15,6 +15,8 @@ import numpy as np
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError, InputMalformedError, PhotocalError
 from photocal.base.geodesy import enu_axes, enu_offsets, geocentric, geodetic
+from photocal.base.layers import SUFFIXES as LAYERS
+from photocal.base.layers import file_of
 from photocal.base.text_tables import folded, read_columns, read_under, refuse
 from photocal.base.time_scales import WEEK_S
 from photocal.exchange.ground_points import read_geo
@@ -200,7 +202,9 @@ def read_positions(path: Path, pictures: Sequence[ImageFacts]) -> PlacesOfPictur
     if path.suffix.lower() in (".mrk", ".pos") or is_event_table(path):
         return _of_events(path, pictures)
     names = [image.name for image in pictures]
-    if read_text(path).lstrip().startswith(("#Label", "#CoordinateSystem")):
+    if file_of(path).suffix.lower() not in LAYERS and read_text(path).lstrip().startswith(
+        ("#Label", "#CoordinateSystem")
+    ):
         crs, rows = read_references(path)
         places = _in_degrees(crs, {row.name: (*row.xyz, *row.sigma) for row in rows}, path)
     else:

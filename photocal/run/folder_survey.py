@@ -12,6 +12,8 @@ import numpy as np
 
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.base.layers import SUFFIXES as LAYERS
+from photocal.base.layers import file_of, layers_of
 from photocal.base.text_tables import TextTable, folded, read_columns, shortened
 from photocal.block.model import ROLES, Block, ObjectPoints, Role
 from photocal.exchange.parts import Mark, PointEntry, object_points
@@ -74,7 +76,9 @@ _LOGS, _RAW_LOGS = (".mcap",), (".tlog", ".bin", ".ulg", ".ubx")
 # What a table in degrees is taken for, and files that name the system of a table, the best first.
 _DEGREES, _SYSTEMS = "EPSG:4326", (".qpj", ".prj", ".wkt")
 _TABLES, _PROJECTS = (".csv", ".txt"), (".p4d", ".psz")
-_NO_TEXTS = (".xlsx", ".xls", ".ods", ".kml", ".kmz", ".shp", ".gpkg", ".dxf", ".gpx")
+_NOT_TAKEN = (".xls", ".kml", ".kmz", ".dxf", ".dwg", ".gpx", ".gdb", ".tab", ".mif")
+# What names control or check points.
+_CONTROL_WORDS = ("gcp", "control", "controle", "pontos", "points", "marks", "apoio", "check")
 # Who speaks of pictures does so at once.
 _HEAD_BYTES = 1 << 16
 Sizes = dict[str, tuple[int, int]]
@@ -131,10 +135,9 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
     seen.pictures = _pictures(files, seen.unread)
     sizes = _sizes(seen.pictures)
     results = _results(files, seen, say)
-    for path in files:
-        if path in results:
-            continue
-        kind = path.suffix.lower()
+    others = [path for path in files if path not in results]
+    for path in [part for file in others for part in _parts(file, seen.unread)]:
+        kind = file_of(path).suffix.lower()
         if kind in _LOGS:
             seen.logs.append(path)
         elif kind in _RAW_LOGS and path.stem not in ("cameras", "images", "points3D"):
@@ -143,7 +146,9 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
             _with_cameras(path, sizes, seen)
         elif _lists_events(path):
             seen.events.append(path)
-        elif kind in _TABLES and (placed := _placed(path, seen.pictures, seen.unread)) is not None:
+        elif (
+            kind in (*_TABLES, *LAYERS) and (placed := _placed(path, seen.pictures, seen.unread)) is not None
+        ):
             # What cannot be right is named, and gives no picture a place.
             if placed is not seen.pictures:
                 seen.positions.append(path)
@@ -151,9 +156,27 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
         elif kind in _READERS:
             _with_control(path, files, sizes, seen, say)
     # Whoever has points in one of these finds no word of them otherwise.
-    sheets = [path for path in files if path.suffix.lower() in _NO_TEXTS and not seen.control]
-    seen.unread += [say("new.no_text", place=path) for path in sheets]
+    seen.unread += [
+        say("new.not_taken", place=path)
+        for path in files
+        if path.suffix.lower() in _NOT_TAKEN and (not seen.control or _means_control(path))
+    ]
     return seen
+
+
+def _parts(path: Path, unread: list[str]) -> tuple[Path, ...]:
+    """The sheets or layers of a file that has such, else the file."""
+    if path.suffix.lower() not in LAYERS:
+        return (path,)
+    try:
+        return layers_of(path)
+    except PhotocalError as refusal:
+        unread.append(str(refusal))
+        return ()
+
+
+def _means_control(path: Path) -> bool:
+    return any(word in path.stem.lower() for word in _CONTROL_WORDS)
 
 
 def _lists_events(path: Path) -> bool:
@@ -259,8 +282,8 @@ def _with_control(
 
 def _control(path: Path, sizes: Sizes, unread: list[str], say: Catalogue) -> ControlMarks | None:
     """Control or marks of a file; None for one that has neither. What looks like them tells why not."""
-    refusals = []
-    for read in _READERS[path.suffix.lower()]:
+    refusals, kind = [], file_of(path).suffix.lower()
+    for read in _READERS[kind]:
         try:
             control = read(path, sizes, say)
         except PhotocalError as refusal:
@@ -271,14 +294,15 @@ def _control(path: Path, sizes: Sizes, unread: list[str], say: Catalogue) -> Con
             return control
         unread += control.refused
         return replace(control, refused=())
-    words = ("gcp", "control", "controle", "pontos", "points", "marks", "apoio", "check")
+    if kind in LAYERS:
+        unread.append(str(refusals[0]))
+        return None
     cells = set(re.split(r"[\s,;\"]+", path.read_bytes()[:_HEAD_BYTES].decode("latin-1")))
     named = any(name in cells or Path(name).stem in cells for name in sizes)
-    headed, lists_places = _seems_a_table(path) if path.suffix.lower() in _TABLES else (False, False)
-    meant = path.suffix.lower() in _PROJECTS or any(word in path.stem.lower() for word in words)
-    if refusals and (named or lists_places or meant):
+    headed, lists_places = _seems_a_table(path) if kind in _TABLES else (False, False)
+    if refusals and (named or lists_places or kind in _PROJECTS or _means_control(path)):
         # What heads its columns is no list of ODM's.
-        unread.append(str(refusals[_READERS[path.suffix.lower()].index(_table)] if headed else refusals[0]))
+        unread.append(str(refusals[_READERS[kind].index(_table)] if headed else refusals[0]))
     return None
 
 
@@ -589,4 +613,5 @@ _READERS: dict[str, tuple[Callable[[Path, Sizes, Catalogue], ControlMarks], ...]
     ".p4d": (_one_file,),
     ".csv": (_table, _headed_list, _bare_table, _marks),
     ".txt": (_typed_list, _table, _bare_table, _marks),
+    **dict.fromkeys(LAYERS, (_table, _marks)),
 }

@@ -133,7 +133,12 @@ def _chosen(seen: FolderContents, chosen: ChosenPictures) -> ControlMarks | None
 
     best = max(
         seen.control,
-        key=lambda control: (shown(control), _marked(control, seen), control.points.of_role("check").sum()),
+        key=lambda control: (
+            shown(control),
+            _marked(control, seen),
+            not named_as_checks(control.file),
+            control.points.of_role("check").sum(),
+        ),
     )
     if shown(best):
         return best
@@ -164,12 +169,14 @@ def _joined(best: ControlMarks, seen: FolderContents) -> ControlMarks:
     middle, tables, listed = np.nanmedian(best.points.values, axis=0), [best], set(best.points.names)
 
     def way(table: ControlMarks) -> tuple[object, ...]:
-        """System, unit and kind of heights, as far as a table states them."""
-        return table.crs, table.unit_m, table.height, table.level, table.unordered, bool(table.marks)
+        """Unit and kind of heights, as far as a table states them."""
+        return table.unit_m, table.height, table.level, table.unordered, bool(table.marks)
 
     for other in seen.control:
         used = other.file in checks or _marked(other, seen) > 0
         near = np.abs(np.nanmedian(other.points.values, axis=0) - middle).max() < ELSEWHERE_M
+        # So near together, the system that one states is that of both.
+        near &= not (best.crs and other.crs) or best.crs == other.crs
         if used and near and way(other) == way(best) and listed.isdisjoint(other.points.names):
             tables.append(other)
             listed.update(other.points.names)
@@ -182,6 +189,7 @@ def _joined(best: ControlMarks, seen: FolderContents) -> ControlMarks:
         first = replace(
             first,
             points=first.points.plus(other.points),
+            crs=first.crs or other.crs,
             without_coordinates=(*first.without_coordinates, *other.without_coordinates),
             refused=(*first.refused, *other.refused),
             doubtful=(*first.doubtful, *other.doubtful),

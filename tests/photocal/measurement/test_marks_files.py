@@ -82,7 +82,7 @@ def test_names_in_doubt_stay_as_they_are() -> None:
         (
             "m.xml",
             "<gcps><GCP label='1'/></gcps>",
-            "is not an XML file of Metashape.*from Pix4D export the marks as text",
+            "is not an XML file of Metashape.*marks as CSV",
         ),
         ("m.json", "[]", "is not a ground_control_points"),
     ],
