@@ -8,6 +8,7 @@ import binascii
 import datetime as dt
 import html
 import math
+import operator
 import re
 import struct
 import time
@@ -203,6 +204,22 @@ class ImageFacts:
     table_apart_m: float = math.nan
 
     @property
+    def reduction(self) -> float:
+        """Stored pixels for each that the camera wrote; 1 where that is not stated, or of another shape."""
+        return _reduction(self.size_px, self.full_size_px)
+
+    @property
+    def cropped(self) -> bool:
+        """Whether the camera wrote more than is stored, in another shape."""
+        stored, written = sorted(self.size_px), sorted(self.full_size_px)
+        return self.reduction == 1.0 and all(map(operator.ge, written, stored)) and stored != written
+
+    @property
+    def frame_px(self) -> tuple[int, int]:
+        """Width and height of the whole frame, in stored pixels."""
+        return self.full_size_px if self.cropped else self.size_px
+
+    @property
     def has_position(self) -> bool:
         """Whether latitude, longitude and a height are known."""
         return math.isfinite(self.latitude_deg + self.longitude_deg + self.altitude_m)
@@ -312,7 +329,7 @@ def facts_of_tags(
         latitude_deg=latitude,
         longitude_deg=longitude,
         altitude_m=above if only_above else altitude,
-        pitch_mm=_pitch_mm(tags, size[0]),
+        pitch_mm=_pitch_mm(tags, _reduction(size, _full_size(tags))),
         full_size_px=_full_size(tags),
         speed_m_s=math.hypot(
             *(as_number(stated(tags, (key,))) for key in ("drone-dji:FlightXSpeed", "drone-dji:FlightYSpeed"))
@@ -351,13 +368,17 @@ def _velocity(tags: Mapping[str, Any]) -> Triple:
     return values if len(values) == 3 and all(map(math.isfinite, values)) else NOT_GIVEN
 
 
-def _pitch_mm(tags: Mapping[str, Any], width: int) -> float:
-    """Pitch of the stored pixels: the tags are of the picture that the camera wrote, of that width."""
+def _pitch_mm(tags: Mapping[str, Any], reduction: float) -> float:
+    """Pitch of the stored pixels: the tags are of the picture that the camera wrote."""
     unit = _MM_OF_UNIT.get(int(as_number(tags.get("EXIF:FocalPlaneResolutionUnit", 2)) or 2), math.nan)
-    written = as_number(tags.get("EXIF:ExifImageWidth", width))
-    return (
-        unit / as_positive(tags.get("EXIF:FocalPlaneXResolution")) * (written / width if written > 0 else 1.0)
-    )
+    return unit / as_positive(tags.get("EXIF:FocalPlaneXResolution")) / reduction
+
+
+def _reduction(stored: tuple[int, int], written: tuple[int, int]) -> float:
+    """Stored pixels for each that was written, of a picture that may be turned; 1 for another shape."""
+    (shorter, longer), (less, more) = sorted(stored), sorted(written)
+    # A pixel of rounding.
+    return longer / more if less and abs(shorter - less * longer / more) <= 1 else 1.0
 
 
 def _full_size(tags: Mapping[str, Any]) -> tuple[int, int]:

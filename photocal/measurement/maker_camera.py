@@ -120,7 +120,7 @@ def stated_camera(name: str, facts: ImageFacts) -> StatedCamera:
     if len(line) != 1 or not line[0] > 0 or not math.isfinite(facts.velocity_m_s[0]):
         return stated
     values = stated.camera.values.copy()
-    values[PARAMETERS.index("readout")] = 1e-9 * line[0] * facts.size_px[1]
+    values[PARAMETERS.index("readout")] = 1e-9 * line[0] * facts.frame_px[1] / facts.reduction
     return replace(stated, camera=replace(stated.camera, values=values, shutter="rolling"))
 
 
@@ -151,8 +151,8 @@ def _stated_lens(name: str, facts: ImageFacts) -> StatedCamera:
             lens = camera(name, "pix4d-fisheye", "px", facts.size_px, (1.0, 1.0), values, affinity="after")
             return StatedCamera(lens, "XMP fisheye of its maker", DESIGNED)
         return StatedCamera(lens, "XMP fisheye of its maker, at the middle of the picture", STATED)
-    designed = _numbers(xmp.get("CalibratedFocalLength", ""))
-    if len(designed) == 1 and 0.2 < designed[0] / max(facts.size_px) < 50:
+    designed = [c * facts.reduction for c in _numbers(xmp.get("CalibratedFocalLength", ""))]
+    if len(designed) == 1 and _may_be(designed[0], facts):
         lens = from_pinhole(Pinhole(facts.size_px, designed[0], designed[0], *middle), name, facts.name)
         return StatedCamera(lens, "CalibratedFocalLength of its maker", DESIGNED)
     c, source = principal_distance_px(facts)
@@ -172,7 +172,10 @@ def _dewarp(name: str, facts: ImageFacts) -> StatedCamera | None:
         given = _numbers(xmp.get(key, "").rpartition(";")[2])
         if len(given) != count or min(given[:2]) <= 0:
             continue
-        fx, fy, cx, cy, k1, k2, p1, p2, k3, *more = given
+        fx, fy, cx, cy = (value * facts.reduction for value in given[:4])
+        if not _may_be(fx, facts):
+            continue
+        k1, k2, p1, p2, k3, *more = given[4:]
         k4, k5, k6 = more or (0.0,) * 3
         cy = -cy if facts.model.lower() in CY_UPWARDS else cy
         lens = from_pinhole(
@@ -221,7 +224,7 @@ def with_lens(facts: ImageFacts, c_px: float = 0.0, focal_mm: float = 0.0) -> Im
 
 def principal_distance_px(facts: ImageFacts) -> tuple[float, str]:
     """Principal distance to start from."""
-    longer = max(facts.size_px)
+    longer = max(facts.frame_px)
     if math.isfinite(facts.c_px):
         return facts.c_px, "given"
     equivalent = _equivalents_px(facts)[0]
@@ -235,18 +238,26 @@ def principal_distance_px(facts: ImageFacts) -> tuple[float, str]:
         (facts.focal_mm / facts.pitch_mm, "EXIF focal length and FocalPlane tags"),
         (facts.focal_mm / width * longer, "EXIF focal length and the known width of the sensor"),
     ):
-        # Tags of pictures that were made smaller may be of the larger ones.
-        if LEAST_WIDTHS < c / longer < MOST_WIDTHS and not abs(math.log(c / equivalent)) > UNLIKE:
+        if _may_be(c, facts):
             return c, source
     if math.isfinite(facts.focal_35mm) and 5 <= facts.focal_35mm <= 2000:
         return equivalent, "EXIF focal length, 35 mm equivalent"
     return longer * UNKNOWN_WIDTHS, "assumed (60 degrees along the longer side)"
 
 
+def _may_be(c: float, facts: ImageFacts) -> bool:
+    """Whether a principal distance, px, may be that of a picture.
+
+    Tags of pictures that were made smaller may be of the larger ones.
+    """
+    likely = LEAST_WIDTHS < c / max(facts.frame_px) < MOST_WIDTHS
+    return likely and not abs(math.log(c / _equivalents_px(facts)[0])) > UNLIKE
+
+
 def _equivalents_px(facts: ImageFacts) -> tuple[float, float]:
     """Principal distance by the 35 mm equivalent of the diagonal, and of the longer side."""
-    diagonal = math.hypot(*facts.size_px) / FRAME_DIAGONAL_MM
-    return facts.focal_35mm * diagonal, facts.focal_35mm * max(facts.size_px) / FRAME_WIDTH_MM
+    diagonal = math.hypot(*facts.frame_px) / FRAME_DIAGONAL_MM
+    return facts.focal_35mm * diagonal, facts.focal_35mm * max(facts.frame_px) / FRAME_WIDTH_MM
 
 
 @cache
@@ -396,8 +407,8 @@ def _frame(pictures: Mapping[Path, ImageFacts], keys: Keys, by: str) -> Iterable
     first = {name: next(pictures[path] for path, other in head.items() if other == name) for name in often}
     if any(_is_copy(one, other) for one, other in combinations(first.values(), 2)):
         return
-    # Pictures are read by their names.
-    if len({path.name for path in head}) < len(head):
+    # Pictures are read by their names; those of one name but for the ending are copies in another format.
+    if len({path.stem for path in head}) < len(head):
         return
     groups = [[pictures[path] for path in paths] for paths in shared.values()]
     apart = [away for group in groups if np.isfinite(away := _apart_m(group))]

@@ -161,9 +161,15 @@ def _called(image: ImageFacts) -> str:
 
 
 def _again(some: Sequence[ImageFacts], others: Sequence[ImageFacts]) -> bool:
-    """Whether most of some pictures are exposures of the others: copies under other names."""
+    """Whether most of some pictures are exposures of the others: copies under other names or endings."""
     exposures = {_exposure(image) for image in others if image.taken}
-    return 2 * sum(_exposure(image) in exposures for image in some) > len(some)
+    endings = {Path(image.name).stem: Path(image.name).suffix.lower() for image in others}
+
+    def converted(image: ImageFacts) -> bool:
+        name = Path(image.name)
+        return endings.get(name.stem, name.suffix.lower()) != name.suffix.lower()
+
+    return 2 * sum(_exposure(image) in exposures or converted(image) for image in some) > len(some)
 
 
 def _exposure(image: ImageFacts) -> tuple[str, float, float]:

@@ -23,7 +23,7 @@ from photocal.geometry.camera import Camera
 from photocal.geometry.frames import code_of, system_of
 from photocal.measurement.control_review import listed
 from photocal.measurement.image_facts import ImageFacts, read_facts
-from photocal.measurement.image_file import SUFFIXES, require_names
+from photocal.measurement.image_file import SUFFIXES, UNREAD, require_names
 from photocal.measurement.marks import (
     BY_HAND_PX,
     MARK_HEADS,
@@ -133,6 +133,7 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
     depth = 3
     files = sorted(path for path in _files(folder, depth, set()) if path not in leave_out)
     seen.pictures = _pictures(files, seen.unread)
+    seen.unread += _without_twin(files, say)
     sizes = _sizes(seen.pictures)
     results = _results(files, seen, say)
     others = [path for path in files if path not in results]
@@ -235,6 +236,18 @@ def _pictures(files: Sequence[Path], unread: list[str]) -> dict[Path, tuple[Imag
             except PhotocalError as refusal:
                 unread.append(str(refusal))
     return {where: tuple(facts) for where, facts in pictures.items()}
+
+
+def _without_twin(files: Sequence[Path], say: Catalogue) -> Iterator[str]:
+    """Name pictures of kinds that are not read, where none that is read has their name."""
+    twins = {path.stem.casefold() for path in files if path.suffix.lower() in SUFFIXES}
+    left = Counter(
+        (path.parent, path.suffix.lower())
+        for path in files
+        if path.suffix.lower() in UNREAD and path.stem.casefold() not in twins
+    )
+    for (where, kind), count in left.items():
+        yield say("new.pictures_unread", n=count, kind=kind, folder=where)
 
 
 def _placed(

@@ -385,7 +385,22 @@ class _Text:
         if given.left:
             yield say("new.events_left", file=file, n=len(given.left), lines=some_names(given.left, say))
 
+    def _changed_sizes(self) -> None:
+        """Name pictures that are not stored as their cameras wrote them."""
+        for k, name in enumerate(self.cameras):
+            own = [image for image, of in zip(self.facts, self.member, strict=True) if of == k]
+            for key, found in (
+                ("reduced", [image for image in own if image.reduction < 1.0]),
+                ("cropped", [image for image in own if image.cropped]),
+            ):
+                if found:
+                    size, full = ("{} x {}".format(*px) for px in (found[0].size_px, found[0].full_size_px))
+                    self.missing.append(
+                        self.say(f"new.{key}", n=len(found), camera=name, size=size, full=full)
+                    )
+
     def _cameras(self) -> Iterator[str]:
+        self._changed_sizes()
         known = {stated.size_px: stated for stated in (self.given.cameras if self.given is not None else ())}
         member, computed, say = self.member, self._computed(), self.say
         for k, name in enumerate(self.cameras):
