@@ -5,6 +5,7 @@ What a recording of each format needs to be imported: where its times come from,
 A recording of another program: what it is, told by its content, and its bytes.
 """
 
+import datetime as dt
 import gzip
 import hashlib
 import re
@@ -43,7 +44,7 @@ from drivers.ulog import UlogFormats, UlogFramer
 from photocal.base.arrays import Integers, picked
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, reading
 from photocal.base.files import output_file
-from photocal.base.time_scales import expiry_warning
+from photocal.base.time_scales import SECOND_NS, expiry_warning
 from photocal.base.version import __version__
 
 PIECE_BYTES = 1 << 20
@@ -299,6 +300,15 @@ def _derivation(sources: set[str], near_ns: int) -> str:
     return f"derived from the receiver's own time ({text}); no host clock"
 
 
+def _other_date(near_ns: int, first_ns: int) -> str:
+    """Return what to say when a recording states another date than a person; empty without one."""
+    # What is given is the noon of a day.
+    if near_ns < 0 or abs(first_ns - near_ns) <= 43_200 * SECOND_NS:
+        return ""
+    day = dt.datetime.fromtimestamp(first_ns // SECOND_NS, dt.UTC).date()
+    return f"the recording states its own date, {day.isoformat()}: the one of --date is not used"
+
+
 CHUNK_BYTES = 1 << 20
 _COUNTED = ("frames", "frame_bytes", "stamp_bytes", "damage_bytes", "damage_runs")
 
@@ -398,8 +408,11 @@ def _import(
     framer = form.framer(dialect)
     way = way_of(source, form, link, dialect, near_ns)
     log = LinkLog(writer.messages, link, [way.decoder])
+    first_ns = near_ns
 
     for batch, log_ns in way.timed(source.batches(framer, advance)):
+        if not log.last_ns and len(log_ns):
+            first_ns = int(log_ns[0])
         log.write(batch, log_ns)
         if writer.open_bytes > CHUNK_BYTES:
             writer.end_chunk()
@@ -413,7 +426,7 @@ def _import(
         tally=log.tally,
         cut=framer.cut,
         packing_cut=source.cut,
-        warning=way.warned(log.last_ns),
+        warning=_other_date(near_ns, first_ns) or way.warned(log.last_ns),
     )
     writer.metadata(f"import {link}", imported.metadata())
     return imported

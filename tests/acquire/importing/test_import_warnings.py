@@ -8,6 +8,7 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from mcap.reader import make_reader
 
 from acquire.importing.importer import import_recordings
@@ -50,6 +51,20 @@ def test_a_date_that_is_given_completes_times_of_day(acquire: Acquire, tmp_path:
     moments = [before, before.replace(second=59), after.replace(second=1), after.replace(minute=1)]
     assert found == [int(moment.timestamp()) * 1_000_000_000 for moment in moments]
     assert "the date as it was given" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("date", "told"), [("2025-05-01", False), ("2025-05-02", True), ("2024-05-01", True)]
+)
+def test_a_date_that_the_recording_contradicts_is_said(
+    acquire: Acquire, tmp_path: Path, date: str, told: bool
+) -> None:
+    source = tmp_path / "rover.nmea"
+    source.write_bytes(nmea.encode("GPZDA,090000.00,01,05,2025,00,00") * 3)
+    done = acquire("import", source, "--date", date, "-o", tmp_path / "out.mcap")
+    assert done.returncode == 0
+    said = "warning: rover: the recording states its own date, 2025-05-01: the one of --date is not used"
+    assert (said in done.stderr) == told
 
 
 def test_a_date_that_is_none_is_refused(acquire: Acquire, tmp_path: Path) -> None:
