@@ -169,7 +169,7 @@ class PlacesOfPictures:
     places: by the names of the pictures, as the table has them.
     by: what tells which is whose: "name", "number", "time", or the "order" alone.
     rival: how many pictures the best other alignment of times places.
-    left: lines of events without a picture, where times tell.
+    left: lines of events without a picture, where numbers or times tell.
     """
 
     places: Mapping[str, _Place]
@@ -423,11 +423,11 @@ def _of_events(path: Path, pictures: Sequence[ImageFacts]) -> PlacesOfPictures:
         rival = sum(camera.rival for camera in cameras)
     if by_number:
         _require_times(by_number, by_time, lines, path)
-        return PlacesOfPictures({name: places[row] for name, row in by_number.items()}, "number")
-    if by_time:
-        taken = set(by_time.values())
-        left = tuple(lines[row] for row in own.tolist() if row not in taken)
-        return PlacesOfPictures({name: places[row] for name, row in by_time.items()}, "time", rival, left)
+    if taken := by_number or by_time:
+        used = set(taken.values())
+        left = tuple(lines[row] for row in own.tolist() if row not in used)
+        named_by = ("number", 0) if by_number else ("time", rival)
+        return PlacesOfPictures({name: places[row] for name, row in taken.items()}, *named_by, left)
     return PlacesOfPictures(_in_order(places, own, listed, pictures, reason, path), "order")
 
 

@@ -230,6 +230,8 @@ class _Text:
         placing: Sequence[ImageFacts] = facts
         if stated < len(facts) and not (seen.logs or seen.positions):
             self.events, placing = self._events(told_of)
+        if len(seen.positions) == 1 and not seen.logs:
+            told_of += self._own_places(seen.positions[0], facts)
         others = _others(chosen)
         settle(control, given, made_in, placing, chosen.place, flown=bool(seen.logs), others=others)
         self.known, self.missing = control.known, control.missing
@@ -369,10 +371,14 @@ class _Text:
             placing = listed if len(usable) == 1 else self.facts
             missing += told
             missing += self._how_given(path, given)
-            if own := [image.name for image in listed if image.altitude_kind != "table"]:
-                counted = {"n": len(listed) - len(own), "all": len(listed), "names": some_names(own, say)}
-                missing.append(say("new.positions_own", file=self._beside(path), **counted))
+            missing += self._own_places(path, listed)
         return usable, placing
+
+    def _own_places(self, path: Path, listed: Sequence[ImageFacts]) -> Iterator[str]:
+        """Name pictures that a table of positions does not have: they keep their own."""
+        if own := [image.name for image in listed if image.altitude_kind != "table"]:
+            counted = {"n": len(listed) - len(own), "all": len(listed), "names": some_names(own, self.say)}
+            yield self.say("new.positions_own", file=self._beside(path), **counted)
 
     def _how_given(self, path: Path, given: PlacesOfPictures) -> Iterator[str]:
         """Say how the events of a list came to their pictures, where no name or number tells."""

@@ -269,7 +269,7 @@ def check_place(crs: str, control: ObjectPoints, files: tuple[Path | None, Path]
         ("longitude", 1.0, -1.0),
         ("latitude and longitude", -1.0, -1.0),
     ):
-        cause = f"the sign of the {word} of {what} is wrong"
+        cause = f"the sign of the {word} of {what} or of {points} is wrong"
         tried.append((cause, file, north * latitude, east * longitude, crs, places))
     for zone in _neighbours(crs, latitude, longitude):
         cause = f"crs = {crs!r} is not the zone of {points}: that is {zone}"

@@ -102,8 +102,10 @@ def test_what_leaves_no_doubt_is_settled(
         ("EPSG:32633", in_feet, "the control points are in feet"),
         ("EPSG:32632", utm, "is not the zone of the control points: that is EPSG:32633"),
         ("EPSG:31982", utm, "is not the zone of the control points: that is EPSG:32633"),
+        # Nobody knows which of the two is right.
+        ("EPSG:4326", lambda place: (-place[0], *place[1:]), "positions or of the control points is wrong"),
     ],
-    ids=["exchanged", "exchanged without a system", "feet", "zone", "country"],
+    ids=["exchanged", "exchanged without a system", "feet", "zone", "country", "west"],
 )
 def test_a_slip_of_all_points_is_named_before_any_run(
     tmp_path: Path, system: str, written: Callable[[Place], Place], said: str
@@ -164,6 +166,24 @@ def test_lists_of_exposures_are_opened_before_they_are_written_down(
     lists = [line for line in made.missing if "Timestamp.MRK" in line]
     assert any(said in line for line in lists) if said else not lists
     assert all(line.startswith("not used: ") for line in lists) or used
+
+
+def test_events_of_pictures_that_were_deleted_are_named(tmp_path: Path) -> None:
+    for k in (0, 1, 3):
+        write_picture(tmp_path / f"DJI_{k:04d}.JPG", POINTS[k])
+    (tmp_path / "DJI_1_001_Timestamp.MRK").write_text("".join(map(event, range(4), POINTS)))
+    made = new_project(tmp_path)
+    assert any("1 event without a picture (line 3)" in line for line in made.missing)
+
+
+def test_pictures_that_a_table_of_positions_does_not_have_are_named(tmp_path: Path) -> None:
+    for k, place in enumerate(POINTS):
+        write_picture(tmp_path / f"MAX_{k}.JPG", place)
+    rows = (f"MAX_{k}.JPG,{lat},{lon},{h + 50}" for k, (lon, lat, h) in enumerate(POINTS[:3]))
+    (tmp_path / "positions.csv").write_text("\n".join(["image,lat,lon,alt", *rows]) + "\n")
+    made = new_project(tmp_path)
+    said = "positions.csv has 3 of the 4 pictures: stated positions are kept for MAX_3.JPG"
+    assert any(said in line for line in made.missing)
 
 
 GEODETIC = (
