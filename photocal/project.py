@@ -20,6 +20,7 @@ from photocal.base.checked_toml import Table, read_toml
 from photocal.base.errors import ConfigurationError, InputNotFoundError
 from photocal.base.files import one_line
 from photocal.block.camera_setup import CameraKeys, NonNegative, Sigma, make_camera
+from photocal.block.folder import SETUP
 from photocal.block.rig import HeadKeys
 from photocal.block.setup import BodyAxis, MountingKeys
 from photocal.geometry.camera import Camera
@@ -425,6 +426,13 @@ class Project:
         if part is None:
             raise ConfigurationError(f"{name} is missing", "add it", where=self.path)
         return part
+
+
+def is_project(path: Path) -> bool:
+    """Whether a path is a project file or a folder that has one, and no block."""
+    if path.is_dir():
+        return (path / NAME).is_file() and not (path / SETUP).exists()
+    return path.suffix == ".toml" and path.name != SETUP
 
 
 def read_project(path: Path) -> Project:

@@ -340,7 +340,9 @@ def _of_block(
     repetition: RepetitionOptions,
     told: Told,
 ) -> Judged:
-    question, on_the_job = judgement.question(), block.suffix == ".toml"
+    from photocal.project import is_project
+
+    question, on_the_job = judgement.question(), is_project(block)
     if on_the_job:
         project, question = with_project(block, question)
         block = project.output / "block"

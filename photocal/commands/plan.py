@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 from photocal.base.console import AsJson, Language, answer, argument, option, progress, spread
+from photocal.base.errors import InputNotFoundError
 from photocal.planning.options import (
     FlightOptions,
     FlownOptions,
@@ -108,12 +109,14 @@ def flown(
 
     from photocal.findings.texts import catalogue, spoken
     from photocal.planning.flown_output import flown_text
-    from photocal.project import read_project
+    from photocal.project import is_project, read_project
     from photocal.run.flown import measure_flown
 
-    if block.suffix == ".toml" and (block.parent / "block.toml") != block:
+    if is_project(block):
         project = read_project(block)
         block, run = project.output / "block", run or project.output / "calibration"
+        if not block.exists():
+            raise InputNotFoundError("has no block yet", "run `photocal run` first", where=project.path)
     exposure_s = nan if exposure_ms is None else exposure_ms / 1e3
     figures = measure_flown(block, run, files, exposure_s, nan if speed is None else speed, output)
     answer(as_json, lambda: figures, lambda: flown_text(figures, catalogue(spoken(language))))

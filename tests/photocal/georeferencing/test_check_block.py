@@ -191,14 +191,18 @@ def test_a_wrong_frame_of_the_points_is_said(
     assert "Traceback" not in said.err
 
 
-def test_a_project_is_checked_as_it_asks(photocal: Photocal, folder: Path) -> None:
+@pytest.mark.parametrize("called", ["project.toml", "."], ids=["file", "folder"])
+def test_a_project_is_checked_as_it_asks(photocal: Photocal, folder: Path, called: str) -> None:
     project = folder.parent / "project.toml"
     project.write_text(
         '[project]\nname = "p"\ncrs = "local"\nheight = "local"\noutput = "work"\n'
         '[measurements]\nblock = "flight"\n[judgement]\nscale = "1:2000"\nstandards = ["pec-pcd"]\n',
         encoding="utf-8",
     )
-    said = photocal("check", project, "--json")
+    said = photocal("flown", folder.parent / called, "-o", folder.parent / "flown")
+    assert said.code == 3
+    assert "has no block yet; run `photocal run` first" in said.err
+    said = photocal("check", folder.parent / called, "--json")
     assert said.code == 0, said.err
     content = json.loads(said.out)
     assert list(content["methods"]) == ["direct", "integrated", "indirect"]
