@@ -30,6 +30,7 @@ from photocal.geometry.frames import UNSTATED, ShiftedFrame
 from photocal.geometry.localisation import aligned_similarity, robust_similarity
 from photocal.geometry.oriented_images import OrientedImages, given_places, given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+from photocal.measurement.mark_frames import inside
 from photocal.measurement.marks import (
     ControlMarks,
     in_map_system,
@@ -261,16 +262,22 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
     """Bring a project without control onto that of a list beside it."""
     folder = path if path.is_dir() else path.parent
     lists = [gcp] if gcp is not None else sorted(folder.rglob("gcp_list.txt"), key=lambda p: len(p.parts))
-    if not lists or not given.block.points.of_role("tie").all():
+    if not lists:
         return given
+    if not given.block.points.of_role("tie").all():
+        unused = f"{lists[0].name} is not used: the project has control of its own"
+        return given if gcp is None else replace(given, remarks=(*given.remarks, unused))
     block = given.block
     names = block.images.names
     sizes = {name: block.cameras[k].size_px for name, k in zip(names, block.images.camera, strict=True)}
     control = _with_checks(in_map_system(read_control_marks(lists[0], ASSUMED_M, sizes)))
     none = block.observations.rows(np.empty(0, dtype=np.int64))
-    marked, unknown = with_marks(
-        replace(block, points=control.points, observations=none), named_after(control.marks, names)
-    )
+    marks = named_after(control.marks, names)
+    within = [mark for mark in marks if mark.image not in sizes or inside(mark, sizes[mark.image])]
+    marked, unknown = with_marks(replace(block, points=control.points, observations=none), within)
+    lost = [f"{len(unknown)} marks are in no image of the project ({unknown[0].image})"] if unknown else []
+    if beyond := len(marks) - len(within):
+        lost.append(f"{beyond} marks lie outside of their images: made in pictures of another size?")
     seen = marked.observations
     kept, tracks = tracks_of(seen, np.ones(len(seen.point), dtype=np.bool_))
     # From the program's own axes, Cartesian ones, to those at the middle of the control.
@@ -281,7 +288,7 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
     if met.sum() < policy.fewest_control:
         raise IllPosedError(
             f"{int(met.sum())} control points of the list are marked in two images and more",
-            "mark at least three that are not in a line, to transform the block to them",
+            "; ".join(lost) or "mark at least three that are not in a line, to transform the block to them",
             where=lists[0],
         )
     poses = local_poses(own, block.images.values)
@@ -311,7 +318,7 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
     ]
     checks = [control.points.names[k] for k in np.flatnonzero(control.points.of_role("check"))]
     remarks += [f"{len(checks)} check points by their names: {some_of(checks)}"] if checks else []
-    remarks += [f"{len(unknown)} marks are in no image of the project"] if unknown else []
+    remarks += lost
     position = np.full_like(given.position, np.nan)
     if np.isfinite(given.position).any():
         remarks.append("positions are of the program's own axes: left out")

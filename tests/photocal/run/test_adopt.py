@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import re
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from photocal.base.errors import InputMalformedError
+from photocal.base.errors import IllPosedError, InputMalformedError
 from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block
 from photocal.block.writer import write_block
@@ -352,6 +353,13 @@ def test_models_with_a_list_of_control(
     assert len(figures["control"]) == int((~ties).sum())
     assert largest(figures) < 0.1
     assert read_block(tmp_path / "adopted" / "block").frame == "EPSG:32722"
+    # What keeps a list from being used is said.
+    twice = [re.sub(r"(\S+) (\S+)( \S+ P)", lambda m: f"{2e4 + float(m[1])} {m[2]}{m[3]}", r) for r in rows]
+    other = [re.sub(r" (\S+ P)", r" x\1", row) for row in rows]
+    for changed, said in ((twice, "lie outside of their images"), (other, "in no image of the project (x")):
+        (tmp_path / "gcp_list.txt").write_text("\n".join(["EPSG:32722", *changed]) + "\n")
+        with pytest.raises(IllPosedError, match=re.escape(said)):
+            adopted(tmp_path, monkeypatch)
 
 
 def test_gross_errors_are_taken_out_and_told(
