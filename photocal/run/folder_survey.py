@@ -148,7 +148,8 @@ def survey(folder: Path, say: Catalogue, leave_out: Collection[Path] = ()) -> Fo
         elif _lists_events(path):
             seen.events.append(path)
         elif (
-            kind in (*_TABLES, *LAYERS) and (placed := _placed(path, seen.pictures, seen.unread)) is not None
+            kind in (*_TABLES, *LAYERS)
+            and (placed := _placed(path, seen.pictures, seen.unread, say)) is not None
         ):
             # What cannot be right is named, and gives no picture a place.
             if placed is not seen.pictures:
@@ -251,7 +252,7 @@ def _without_twin(files: Sequence[Path], say: Catalogue) -> Iterator[str]:
 
 
 def _placed(
-    path: Path, pictures: dict[Path, tuple[ImageFacts, ...]], unread: list[str]
+    path: Path, pictures: dict[Path, tuple[ImageFacts, ...]], unread: list[str], say: Catalogue
 ) -> dict[Path, tuple[ImageFacts, ...]] | None:
     """Pictures at the positions of a table that names them; None for another table."""
     every = [image for facts in pictures.values() for image in facts]
@@ -262,7 +263,33 @@ def _placed(
         return pictures
     except PhotocalError:
         return None
-    return {where: tuple(map(given, facts)) for where, facts in pictures.items()}
+    placed = {where: tuple(map(given, facts)) for where, facts in pictures.items()}
+    if slip := _elsewhere(every, [image for facts in placed.values() for image in facts]):
+        unread.append(f"{path}: {say(f'new.table_{slip}')}")
+        return pictures
+    return placed
+
+
+def _elsewhere(stated: Sequence[ImageFacts], listed: Sequence[ImageFacts]) -> str:
+    """Which slip of a table puts its pictures nowhere near where they say that they are; empty for none."""
+    both = [
+        ((own.latitude_deg, own.longitude_deg), (other.latitude_deg, other.longitude_deg))
+        for own, other in zip(stated, listed, strict=True)
+        if own.has_position and other.altitude_kind == "table"
+    ]
+    if not both:
+        return ""
+    own, put = np.array(both).transpose(1, 0, 2)
+    # No flight is so wide, and no datum so far, deg.
+    far_deg = 0.05
+    ways = {
+        "": put,
+        "west": put * [1, -1],
+        "south": put * [-1, 1],
+        "exchanged": put[:, ::-1],
+    }
+    near = (way for way, there in ways.items() if np.median(np.abs(there - own).max(axis=1)) < far_deg)
+    return next(near, "far")
 
 
 def _files(folder: Path, depth: int, been: set[Path]) -> Iterator[Path]:

@@ -186,6 +186,30 @@ def test_pictures_that_a_table_of_positions_does_not_have_are_named(tmp_path: Pa
     assert any(said in line for line in made.missing)
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda lat, lon: (lat, -lon), "the sign of the longitudes is wrong"),
+        (lambda lat, lon: (-lat, lon), "the sign of the latitudes is wrong"),
+        (lambda lat, lon: (lon, lat), "latitude and longitude are exchanged"),
+        (lambda lat, lon: (lat + 1, lon), "far from those that the pictures state"),
+    ],
+    ids=["west", "south", "exchanged", "elsewhere"],
+)
+def test_a_table_of_positions_far_from_the_pictures_is_not_used(
+    tmp_path: Path, change: Callable[[float, float], tuple[float, float]], said: str
+) -> None:
+    for k, place in enumerate(POINTS):
+        write_picture(tmp_path / f"MAX_{k}.JPG", place)
+    rows = ("MAX_{},{},{},510".format(k, *change(lat, lon)) for k, (lon, lat, _) in enumerate(POINTS))
+    (tmp_path / "positions.csv").write_text("\n".join(["image,lat,lon,alt", *rows]) + "\n")
+    made = new_project(tmp_path)
+    assert any("not used" in line and said in line for line in made.missing)
+    text = made.path.read_text()
+    assert "positions = " not in text
+    assert 'crs = "EPSG:32633"' in text
+
+
 GEODETIC = (
     "%  GPST                   latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)\n"
 )

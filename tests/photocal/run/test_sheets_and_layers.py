@@ -60,7 +60,9 @@ def workbook(path: Path, sheets: Mapping[str, Cells]) -> None:
         archive.writestr("xl/_rels/workbook.xml.rels", f"{relations}{''.join(targets)}</Relationships>")
         for name, k in number.items():
             rows = (
-                f'<row r="{r}">' + "".join(cell(f"{'ABCDEF'[c]}{r}", v) for c, v in enumerate(row)) + "</row>"
+                f'<row r="{r}">'
+                + "".join(cell(f"{'ABCDEFGH'[c]}{r}", v) for c, v in enumerate(row))
+                + "</row>"
                 for r, row in enumerate(sheets[name], start=1)
             )
             archive.writestr(
