@@ -5,6 +5,7 @@ Where a file has several, each is named by file and layer: `points.xlsx/Checks`.
 
 import re
 import struct
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,6 @@ from photocal.base.errors import InputMalformedError, InputNotFoundError
 
 SHEETS = (".xlsx", ".ods")
 SUFFIXES = (*SHEETS, ".shp", ".gpkg", ".geojson")
-# Nobody surveys more control; a layer of more points is a cloud or a grid.
-_MOST_ROWS = 10_000
-# A point and its place; a row of fewer cells is a title or a note.
-_FEWEST_CELLS = 4
 # The geometry says where a point is; these attributes say it again, perhaps in another system.
 _SAID_AGAIN = re.compile(
     r"[xyen]|east(ing)?|north(ing)?|l?este|norte|lon\w*|lat\w*|[xy]_?coord|coord_?[xy]|point_[xy]",
@@ -25,7 +22,6 @@ _SAID_AGAIN = re.compile(
 )
 # Digits that only the binary form of a number has.
 _BINARY = re.compile(r"[-+]?\d+\.\d{9,}")
-_MULTIPOINT = 4
 
 
 def file_of(path: Path) -> Path:
@@ -36,18 +32,26 @@ def file_of(path: Path) -> Path:
 def layers_of(path: Path) -> tuple[Path, ...]:
     """List the sheets with rows, or the layers of points, of a file; the file itself where it has but one.
 
+    raises InputNotFoundError: when no sheet has a table.
     raises InputMalformedError: when it cannot be opened.
     """
     import pyogrio  # type: ignore[import-untyped]
 
     try:
         kinds = dict(pyogrio.list_layers(path).tolist())
-    except pyogrio.errors.DataSourceError as failure:
+    except (RuntimeError, ValueError) as failure:
         raise _unreadable(path) from failure
     if path.suffix.lower() in SHEETS:
         names = [name for name in kinds if _titles(_rows(path, name)) is not None]
+        if not names:
+            raise _without_table(path)
     else:
-        names = [name for name, kind in kinds.items() if "Point" in str(kind)]
+        # Where a layer may have anything, its first point tells.
+        names = [
+            name
+            for name, kind in kinds.items()
+            if "Point" in str(kind) or (kind == "Unknown" and any(map(_place, _read(path, name)[2])))
+        ]
     return (path,) if len(names) == len(kinds) == 1 else tuple(path / name for name in names)
 
 
@@ -65,7 +69,7 @@ def read_layer(path: Path) -> tuple[Any, int]:
         return _points(file, layer), 0
     rows = _rows(file, layer)
     if (titles := _titles(rows)) is None:
-        raise InputNotFoundError("has no table", "write the heads of the columns in one row", where=path)
+        raise _without_table(path)
     heads, *body = rows[titles:]
     named = [k for k, head in enumerate(heads) if head]
     columns = [pa.array([row[k] for row in body], pa.string()) for k in named]
@@ -74,7 +78,9 @@ def read_layer(path: Path) -> tuple[Any, int]:
 
 def _titles(rows: list[list[str]]) -> int | None:
     """Count the rows above the heads; None for a sheet that has no table."""
-    return next((k for k, row in enumerate(rows[:-1]) if sum(map(bool, row)) >= _FEWEST_CELLS), None)
+    # A point and its place; a row of fewer cells is a title or a note.
+    fewest = 4
+    return next((k for k, row in enumerate(rows[:-1]) if sum(map(bool, row)) >= fewest), None)
 
 
 def _rows(file: Path, layer: str | None) -> list[list[str]]:
@@ -106,22 +112,26 @@ def _points(file: Path, layer: str | None) -> Any:
         for k, axis in enumerate(axes[:known])
     }
     columns |= {"crs": [crs] * len(places)} if crs else {}
-    columns |= {name: cells for name, cells in fields.items() if not _SAID_AGAIN.fullmatch(name)}
-    return pa.table({name: pa.array(cells, pa.string()) for name, cells in columns.items()})
+    others = {name: cells for name, cells in fields.items() if not _SAID_AGAIN.fullmatch(name)}
+    return pa.table(
+        {name: pa.array(cells, pa.string()) for name, cells in (columns | others | columns).items()}
+    )
 
 
 def _read(file: Path, layer: str | None) -> tuple[str, dict[str, list[str]], list[bytes]]:
     """Read the system of a layer, the texts of its fields by their names, and its geometries."""
     import pyogrio
 
+    # Nobody surveys more control; a layer of more points is a cloud or a grid.
+    most = 10_000
     try:
-        told, _, shapes, fields = pyogrio.raw.read(file, layer=layer, max_features=_MOST_ROWS + 1)
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, ValueError) as failure:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            told, _, shapes, fields = pyogrio.raw.read(file, layer=layer, max_features=most + 1)
+    except (RuntimeError, ValueError) as failure:
         raise _unreadable(file) from failure
-    if len(fields) and len(fields[0]) > _MOST_ROWS:
-        raise InputMalformedError(
-            f"has more than {_MOST_ROWS} rows", "export the control points alone", where=file
-        )
+    if max(map(len, fields), default=0) > most:
+        raise InputMalformedError(f"has more than {most} rows", "export the control points alone", where=file)
     found = {name: list(map(_text, cells)) for name, cells in zip(told["fields"], fields, strict=True)}
     return told["crs"] or "", found, [] if shapes is None else list(shapes)
 
@@ -141,9 +151,10 @@ def _place(geometry: bytes | None) -> tuple[float, ...]:
     order = "<" if geometry[0] else ">"
     # Heights are told by a thousand more, or by the highest bit.
     kind = struct.unpack_from(f"{order}I", geometry, 1)[0] % 0x80000000 % 1000
-    if kind == _MULTIPOINT:
+    point, multipoint = 1, 4
+    if kind == multipoint:
         return _place(geometry[9:]) if struct.unpack_from(f"{order}I", geometry, 5)[0] == 1 else ()
-    return struct.unpack_from(f"{order}{(len(geometry) - 5) // 8}d", geometry, 5)
+    return struct.unpack_from(f"{order}{(len(geometry) - 5) // 8}d", geometry, 5) if kind == point else ()
 
 
 def _in_degrees(crs: str) -> bool:
@@ -162,3 +173,7 @@ def _unreadable(file: Path) -> InputMalformedError:
         "if it has control points, copy all its files again, or export the points as CSV",
         where=file,
     )
+
+
+def _without_table(path: Path) -> InputNotFoundError:
+    return InputNotFoundError("has no table", "write the heads of the columns in one row", where=path)

@@ -166,6 +166,7 @@ def _again(some: Sequence[ImageFacts], others: Sequence[ImageFacts]) -> bool:
     endings = {Path(image.name).stem: Path(image.name).suffix.lower() for image in others}
 
     def converted(image: ImageFacts) -> bool:
+        """Whether another picture has its name and another ending."""
         name = Path(image.name)
         return endings.get(name.stem, name.suffix.lower()) != name.suffix.lower()
 

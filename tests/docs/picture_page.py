@@ -25,8 +25,8 @@ fx and fy, a wrong sign of cx or cy, and missing decentring terms; B1 and B2 are
 the adjustment finds the tag wrong, a note (`maker-tag`) states the error in pixels in the corner of a
 picture. cy is positive downwards, as in OpenCV; only in pictures of the FC6360 (Phantom 4 Multispectral) it
 is positive upwards. c of a 35 mm equivalent follows from the diagonal of 43.27 mm, with a sigma that covers
-the width of 36 mm. Where EXIF states another size than the file has, what is stated in pixels is scaled to the
-stored ones (reduced pictures), or refers to the whole frame (cropped pictures); `photocal new` names both.
+the width of 36 mm. Where EXIF states another size than the file has, what is stated in pixels is scaled to
+the stored ones (reduced pictures), or refers to the whole frame (cropped ones); `photocal new` names both.
 
 Heights: `RtkAlt` and `GpsFusionAlt` of DJI are ellipsoidal, and so are heights with RTK. Those of Parrot's
 ANAFI and of Skydio are above the geoid EGM96. For other makers the kind is not known, and `photocal new`

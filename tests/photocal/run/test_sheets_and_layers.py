@@ -117,6 +117,8 @@ KINDS: dict[str, Callable[[Path], None]] = {
         at / "pts.gpkg", [(*p[:2], 0.0) for p in PLACES], {"nome": NAMES, "cota": [p[2] for p in PLACES]}
     ),
     "degrees": lambda at: layer(at / "pts.geojson", DEGREES, {"name": NAMES}, "EPSG:4326"),
+    # An attribute of the same name as ours is not the height of the point.
+    "z of another kind": lambda at: layer(at / "p.shp", PLACES, {"nome": NAMES, "z": [1.0] * 4}),
     # What attributes say of the place may be in any system.
     "attributes": lambda at: layer(
         at / "p.gpkg", DEGREES, {"id": NAMES, "E": [1.0] * 4, "N": [2.0] * 4}, "EPSG:4326"
@@ -177,6 +179,7 @@ REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
     "no names": (lambda at: layer(at / "p.shp", PLACES, {"what": NAMES}), "names of the points"),
     "no heights": (lambda at: layer(at / "p.shp", [p[:2] for p in PLACES], {"nome": NAMES}), "no column Z"),
     "damaged": (lambda at: (at / "p.xlsx").write_bytes(b"PK\x03\x04" + bytes(99)), "that can be read"),
+    "notes": (lambda at: workbook(at / "p.xlsx", {"P": [["feito por", "Ana"]]}), "has no table"),
     "a part": (no_shape, "copy all its files again"),
     "drawing": (lambda at: (at / "p.dxf").write_text("0\nEOF\n"), "export them as CSV with the columns name"),
     "land": (
