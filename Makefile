@@ -34,7 +34,7 @@ help:
 	@echo "make setup   only install (.venv, locked packages, compiled kernels)"
 	@echo "make lowest  test with the lowest versions that pyproject.toml allows"
 	@echo "make audit   licences, hashes, wheels per platform, bill of materials, two builds of one wheel"
-	@echo "make vendor  fetch the libraries of the desk's page anew, with npm"
+	@echo "make vendor  fetch the libraries of the pages anew, with npm"
 	@echo "make lock    renew requirements.lock from pyproject.toml"
 
 setup: $(READY)
@@ -80,8 +80,12 @@ times: $(READY)
 quick: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.quick
 
-wheel: $(READY)
-	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation -w dist .
+# Without the developers' environment: pip fetches the builder, and nothing else.
+wheel:
+	rm -rf build/lib build/bdist.*
+	$(PYTHON) -m venv --clear .wheel-venv
+	.wheel-venv/bin/python -m pip wheel --quiet --disable-pip-version-check --no-deps -w dist .
+	rm -rf .wheel-venv
 
 # The types of other systems are checked beside those of this one.
 MYPY := $(BIN)/mypy --explicit-package-bases
@@ -143,4 +147,4 @@ audit: $(READY)
 	rm -rf .audit-venv
 
 clean:
-	rm -rf $(VENV) .lock-venv .lowest-venv .audit-venv .mavproxy build dist *.egg-info demo-output
+	rm -rf $(VENV) .lock-venv .lowest-venv .audit-venv .docs-venv .wheel-venv .mavproxy build dist *.egg-info demo-output

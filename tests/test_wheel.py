@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
@@ -71,3 +73,21 @@ import acquire.monitor.page, acquire.transports.sinks, acquire.importing.importe
 def test_a_recorder_needs_no_packages_of_the_processing(installed: Path, tmp_path: Path) -> None:
     kilobytes = int(run(installed, tmp_path, "-c", _RECORDER))
     assert kilobytes < 60_000
+
+
+def test_the_container_gets_all_of_the_wheel(wheel: Path, tmp_path: Path) -> None:
+    """What Containerfile copies makes the wheel that the sources make, studies included."""
+    for line in (ROOT / "Containerfile").read_text(encoding="utf-8").splitlines():
+        if line.startswith("COPY"):
+            *given, target = line.split()[1:]
+            for name in given:
+                if (ROOT / name).is_dir():
+                    shutil.copytree(
+                        ROOT / name, tmp_path / target, ignore=shutil.ignore_patterns("__pycache__")
+                    )
+                else:
+                    shutil.copy(ROOT / name, tmp_path / target)
+    pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
+    subprocess.run([*pip, "-w", str(tmp_path), str(tmp_path)], check=True)
+    (made,) = tmp_path.glob("photocal-*.whl")
+    assert set(zipfile.ZipFile(wheel).namelist()) <= set(zipfile.ZipFile(made).namelist())

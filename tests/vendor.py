@@ -1,4 +1,4 @@
-"""`make vendor`: libraries of the desk's page, fetched with npm in the versions of each vendor.toml.
+"""`make vendor`: libraries of the pages, fetched with npm in the versions of each vendor.toml.
 
 Their files and licences are kept beside it, with their SHA-256; nothing is fetched when the page runs.
 """
@@ -18,6 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 LISTS = (
     ROOT / "photocal" / "desk" / "vendor" / "vendor.toml",
     ROOT / "tests" / "photocal" / "desk" / "vendor" / "vendor.toml",
+    ROOT / "tests" / "docs" / "vendor" / "vendor.toml",
 )
 
 

@@ -9,6 +9,8 @@ from typing import Any
 
 ROOT = Path(__file__).parents[2]
 BUILD = ROOT / "build"
+# Without it a page opened from a file is not searched; the theme would fetch it at every page.
+_SHIM = Path(__file__).with_name("vendor") / "iframe-worker.js"
 _REFERENCE = (
     "project-file", "block-folder", "recording", "monitor", "exposures", "pictures", "marking",
     "georeferencing-check", "faults", "exchange", "exit-codes", "nomenclature",
@@ -26,6 +28,7 @@ _SITE: dict[str, Any] = {
         "features": ["navigation.tabs", "navigation.indexes", "navigation.top", "content.code.copy"],
     },
     "plugins": ["search", "offline"],
+    "extra": {"polyfills": [_SHIM.name]},
     "markdown_extensions": ["tables", {"toc": {"permalink": True}}, "pymdownx.superfences"],
     "validation": {"links": {"not_found": "warn", "anchors": "warn", "unrecognized_links": "warn"}},
 }
@@ -67,6 +70,7 @@ def stage() -> Path:
         shutil.copytree(ROOT / folder, pages / folder)
     for path in (*ROOT.glob("*.md"), ROOT / "LICENSE", ROOT / "CITATION.cff", ROOT / "Containerfile"):
         shutil.copy(path, pages)
+    shutil.copy(_SHIM, pages)
     configuration = BUILD / "mkdocs.yml"
     # JSON is YAML.
     configuration.write_text(json.dumps({**_SITE, "nav": navigation()}, indent=1), encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from types import ModuleType
@@ -67,6 +68,15 @@ def test_links_lead_somewhere(page: Path) -> None:
 def test_the_site_lists_every_page() -> None:
     listed = set(re.findall(r"'([^']+\.md)'", str(site.navigation())))
     assert listed == {path.relative_to(ROOT).as_posix() for path in (*PAGES, *ROOT.glob("*.md"))}
+
+
+def test_the_site_is_searched_without_a_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The theme takes a script for it from the network, unless the site has one of that name."""
+    monkeypatch.setattr(site, "BUILD", tmp_path)
+    made = json.loads(site.stage().read_text(encoding="utf-8"))
+    (script,) = made["extra"]["polyfills"]
+    assert "iframe-worker" in script
+    assert (tmp_path / made["docs_dir"] / script).is_file()
 
 
 def test_a_broken_link_is_seen(tmp_path: Path) -> None:

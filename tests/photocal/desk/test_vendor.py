@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.vendor import LISTS, kept
+from tests.vendor import LISTS, ROOT, kept
 
 ALLOWED = {"MIT", "BSD-2-Clause", "BSD-3-Clause", "MPL-2.0"}
 
 
-@pytest.mark.parametrize("path", LISTS, ids=lambda path: path.parent.parent.parent.name)
+@pytest.mark.parametrize("path", LISTS, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_files_are_those_of_the_list(path: Path) -> None:
     listed = tomllib.loads(path.read_text(encoding="utf-8"))
     files = {name: entry for library in listed.values() for name, entry in library["files"].items()}
@@ -23,7 +23,7 @@ def test_files_are_those_of_the_list(path: Path) -> None:
         assert hashlib.sha256((path.parent / name).read_bytes()).hexdigest() == entry["sha256"], name
 
 
-@pytest.mark.parametrize("path", LISTS, ids=lambda path: path.parent.parent.parent.name)
+@pytest.mark.parametrize("path", LISTS, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_each_library_has_its_version_and_licence(path: Path) -> None:
     for name, library in tomllib.loads(path.read_text(encoding="utf-8")).items():
         assert library["licence"] in ALLOWED, name
