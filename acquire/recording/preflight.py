@@ -156,18 +156,18 @@ def _judge(link: LinkConfiguration, heard: _Heard, seconds: float) -> list[Check
 
 def _disk(configuration: RecordingConfiguration, base: Path, host: Host) -> list[Check]:
     checks = []
-    mb = 1_000_000
+    mb, gb = 1e6, 1e9
     for folder in (configuration.recording.output, *configuration.recording.spare):
         place = (base / folder).resolve()
         while not place.exists():
             place = place.parent
         try:
-            free_mb = host.free_bytes(place) / mb
+            free = host.free_bytes(place)
         except OSError as failure:
             checks.append(Check(f"disk {folder}", "bad", reason(failure)))
             continue
-        good = free_mb >= configuration.recording.least_free_mb
-        checks.append(_check(f"disk {folder}", good, f"{free_mb:.0f} MB are free"))
+        good = free >= configuration.recording.least_free_mb * mb
+        checks.append(_check(f"disk {folder}", good, f"{free / gb:.1f} GB free"))
     return checks
 
 

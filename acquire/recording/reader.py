@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from acquire.transports.sources import LinkLostError, Source
 from photocal.base.console import printable
 
-# What a link is kept to, bytes a second and at once: some forty times what a receiver or an autopilot sends.
+# Rate limit of a link, bytes a second, and its burst: some forty times what a receiver or an autopilot sends.
 MOST_BYTES_S, MOST_AT_ONCE = 4_000_000, 4 << 20
 # What may wait for being framed, and what each arrival takes of it besides its bytes. More comes only where
 # the computer is too slow for what arrives.
@@ -185,7 +185,7 @@ def _read(source: Source, inbox: Inbox, timeout_s: float, stop: threading.Event)
     inbox.missed = source.missed
     if not inbox.has_room() and not source.lossy:
         inbox.slowed = True
-        # How long a link above its rate rests: short against what a socket holds.
+        # Pause of a link above its rate limit: short compared with what a socket holds.
         above_s = 0.002
         stop.wait(above_s)
         return False

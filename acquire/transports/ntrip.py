@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 from urllib.parse import urlsplit
 
-from acquire.transports.sources import PIECE_BYTES, LinkLostError, Patience, TcpSource, connect
+from acquire.transports.sources import PIECE_BYTES, Deadline, LinkLostError, TcpSource, connect
 from photocal.base.errors import ConfigurationError, reason
 
 if TYPE_CHECKING:
@@ -95,8 +95,8 @@ class NtripSource(TcpSource):
         """Connect and ask for the stream."""
         address = self._caster
         connect_s = 10.0
-        patience = Patience(stop, connect_s)
-        line = connect(address.host, address.port, patience)
+        deadline = Deadline(stop, connect_s)
+        line = connect(address.host, address.port, deadline)
         try:
             if address.encrypted:
                 import ssl
@@ -104,10 +104,10 @@ class NtripSource(TcpSource):
                 self._not_yet = TimeoutError, ssl.SSLWantReadError
                 context = self._context or ssl.create_default_context()
                 line = context.wrap_socket(line, server_hostname=address.host, do_handshake_on_connect=False)
-                _patiently(line, line.do_handshake, patience)
+                _within(line, line.do_handshake, deadline)
             sentence = self._position()
             line.sendall(self._request(sentence))
-            head, rest = _head(line, patience)
+            head, rest = _head(line, deadline)
             self._body = _body_of(head)
             if address.version == 1 and sentence:
                 line.sendall(sentence)
@@ -182,22 +182,22 @@ class _Body:
         return b"".join(out)
 
 
-def _patiently(line: socket.socket, action: Callable[[], Result], patience: Patience) -> Result:
+def _within(line: socket.socket, action: Callable[[], Result], deadline: Deadline) -> Result:
     """Do what a socket without blocking may refuse for now."""
     while True:
         try:
             return action()
         except BlockingIOError:
-            patience.wait(line)
+            deadline.wait(line)
         except OSError as failure:
             import ssl
 
             if not isinstance(failure, (ssl.SSLWantReadError, ssl.SSLWantWriteError)):
                 raise
-            patience.wait(line, writing=isinstance(failure, ssl.SSLWantWriteError))
+            deadline.wait(line, writing=isinstance(failure, ssl.SSLWantWriteError))
 
 
-def _head(line: socket.socket, patience: Patience) -> tuple[bytes, bytes]:
+def _head(line: socket.socket, deadline: Deadline) -> tuple[bytes, bytes]:
     data = b""
     while True:
         # A caster of version 1 ends its head with one line, or with an empty one after it.
@@ -209,7 +209,7 @@ def _head(line: socket.socket, patience: Patience) -> tuple[bytes, bytes]:
             return head, rest
         if first.startswith(b"ERROR") and b"\n" in data:
             return first, b""
-        piece = _patiently(line, lambda: line.recv(PIECE_BYTES), patience)
+        piece = _within(line, lambda: line.recv(PIECE_BYTES), deadline)
         if not piece or len(data) > _LONGEST_HEAD:
             raise LinkLostError("the server does not answer as an NTRIP caster does")
         data += piece

@@ -78,8 +78,8 @@ class Source(ABC):
         return self._port
 
 
-class Patience:
-    """How long an opening may take: so many seconds, and until somebody stops it."""
+class Deadline:
+    """Time limit of opening a connection; the stop event ends it, too."""
 
     def __init__(self, stop: threading.Event, seconds: float) -> None:
         self._stop = stop
@@ -94,7 +94,7 @@ class Patience:
         raise LinkLostError(f"no answer within {self._seconds:g} s")
 
 
-def connect(host: str, port: int, patience: Patience) -> socket.socket:
+def connect(host: str, port: int, deadline: Deadline) -> socket.socket:
     """Return a connection that does not block."""
     try:
         addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
@@ -106,7 +106,7 @@ def connect(host: str, port: int, patience: Patience) -> socket.socket:
         try:
             line.setblocking(False)
             if line.connect_ex(address):
-                patience.wait(line, writing=True)
+                deadline.wait(line, writing=True)
             code = line.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
             if not code:
                 return line
@@ -216,7 +216,7 @@ class TcpSource(Source):
     def open(self, stop: threading.Event) -> None:
         """Connect."""
         connect_s = 5.0
-        self._port = connect(*self._address, Patience(stop, connect_s))
+        self._port = connect(*self._address, Deadline(stop, connect_s))
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived."""

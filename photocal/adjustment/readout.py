@@ -178,7 +178,9 @@ def with_lags(network: Network, solution: Solution, report: Report | None = None
         # Larger where residuals are larger than stated.
         sigma = np.sqrt(variance * max(1.0, float(np.nan_to_num(solution.variance_factor))))
         rig = replace(network.rig, lag=np.column_stack([values[:, LATER], sigma]))
-        if np.allclose(rig.give(camera), network.rig.give(camera), rtol=SETTLED, atol=0.0):
+        if np.allclose(
+            rig.relation_sigma(camera), network.rig.relation_sigma(camera), rtol=SETTLED, atol=0.0
+        ):
             break
         network = replace(network, rig=rig)
         try:

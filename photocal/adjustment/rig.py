@@ -58,7 +58,7 @@ class RigHeads:
         head[self.camera] = np.arange(len(self.camera))
         return np.asarray(head[image_camera])
 
-    def give(self, image_camera: Integers) -> Floats:
+    def relation_sigma(self, image_camera: Integers) -> Floats:
         """Standard deviations of the relations, m and rad, shape (pairs, 2)."""
         head, later = self.head_of(image_camera), self.lag[:, 0]
         p, q = head[self.first], head[self.second]
@@ -163,8 +163,8 @@ def rig_equations(
         (columns[p, LATER:], flown),
         (columns[q, LATER:], -flown),
     ]
-    give = rig.give(image_camera)
-    per_metre, per_radian = (np.eye(3) / give[:, k, None, None] for k in range(2))
+    sigma = rig.relation_sigma(image_camera)
+    per_metre, per_radian = (np.eye(3) / sigma[:, k, None, None] for k in range(2))
     turns, places = whitened(turning, residual, per_radian), whitened(moved, place, per_metre)
     return Equations(
         np.concatenate([turns.start, turns.start[-1] + places.start[1:]]),

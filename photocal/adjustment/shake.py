@@ -23,8 +23,8 @@ from photocal.geometry.lens import Scratch, scratch
 
 # Sigmas are estimated until they change by less than this share.
 SETTLED, ROUNDS = 0.1, 6
-# What lies beside a steady movement by less than this share of a ray's sigma changes no figure, sure as it
-# may be: it is a four-hundredth of its variance.
+# A displacement from a steady movement by less than this share of a ray's sigma changes no figure, however
+# significant: it is a four-hundredth of its variance.
 SHOWS = 0.05
 # Fewer images than these tell nothing of how they differ; an image with fewer rays for each of its unknowns
 # tells nothing of itself.

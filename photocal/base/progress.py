@@ -1,4 +1,4 @@
-"""How far longer work is: a title and an amount give a context in which the work done is told."""
+"""Progress of longer work: `progress(title, total)` is a context that gives `advance(amount)`."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager

@@ -148,7 +148,7 @@ def _intersected(
     centre = exposures.started[rays.image, 3:]
     start = intersect(rays.point, len(points), centre, rotation, slopes, np.ones(len(slopes)))
     miss = ray_residuals(rotation, centre, points[rays.point], slopes)
-    # Nobody has used the coordinates of a check point before: a slip of the pen stands there unnoticed.
+    # Nobody has used the coordinates of a check point before: a typing error there is unnoticed.
     of_surveyed = miss[(surveyed & ~missing)[rays.point]]
     usual = float(np.median(of_surveyed)) if len(of_surveyed) else 0.0
     least = np.full(len(points), np.inf)

@@ -1,4 +1,4 @@
-"""What is written for other programs: a block, and what formats are told beside it."""
+"""Export to other programs: a block, and what a format needs besides."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -18,7 +18,7 @@ Angle = Literal["deg", "gon"]
 
 @dataclass(frozen=True)
 class Choices:
-    """What some formats must be told.
+    """What some formats need besides.
 
     origin: where a local frame touches the ellipsoid.
     changed_utc: time that a file may note as that of its making.

@@ -186,7 +186,7 @@ for _model, _lens in MODELS.items():
 
 
 @compiled
-def bent(cameras: Floats, optics: Floats, ray: Ray, room: Scratch) -> tuple[float, float]:
+def other_residual(cameras: Floats, optics: Floats, ray: Ray, room: Scratch) -> tuple[float, float]:
     """Computed minus measured coordinates of a ray through a lens that is not Brown's, see `ray_residual`."""
     by_q, by_camera = room.by_q, room.by_camera
     k, x, y, u, v, w = ray
@@ -327,7 +327,7 @@ def image_residual(cameras: Floats, optics: Floats, ray: Ray, room: Scratch) -> 
     from the measured ones. Least squares of these residuals is the Gauss-Helmert model, whose weight of a
     condition f(x) is (F Q F')^-1 with F = df/dx at the corrected coordinates (Foerstner and Wrobel 2016,
     section 4.8). Where they do not exist, as for the start values of a point far outside, the condition is
-    linear. Of `OTHERS` it is `bent`. Parameters as in `ray_residual`, with (x, y) measured.
+    linear. Of `OTHERS` it is `other_residual`. Parameters as in `ray_residual`, with (x, y) measured.
     """
     by_q, by_camera = room.by_q, room.by_camera
     k, x, y, u, v, w = ray
@@ -374,7 +374,7 @@ def recorded(
         return False
     for _ in range(_MOST):
         if optics[k, 0] >= OTHERS:
-            vx, vy = bent(cameras, optics, Ray(k, x, y, u, v, w), room)
+            vx, vy = other_residual(cameras, optics, Ray(k, x, y, u, v, w), room)
         else:
             vx, vy = ray_residual(cameras, optics, Ray(k, x, y, u, v, w), room)
         # The residual depends on x - x0 only: its derivative to x is the negative one to x0.
@@ -412,7 +412,7 @@ def direction(
             t00, t01, t11 = sinc + share * e0 * e0, share * e0 * e1, sinc + share * e1 * e1
             w0, w1 = sinc * e0, sinc * e1
         if optics[k, 0] >= OTHERS:
-            vx, vy = bent(cameras, optics, Ray(k, x, y, u, v, w), room)
+            vx, vy = other_residual(cameras, optics, Ray(k, x, y, u, v, w), room)
         else:
             ray = Ray(k, x, y, far * u, far * v, far * w)
             vx, vy = ray_residual(cameras, optics, ray, room)

@@ -11,7 +11,7 @@ Vibration turns the camera to and fro within the readout. The turn is then s W p
 from photocal.base.arrays import Floats
 from photocal.base.compiled import compiled, inlined
 from photocal.geometry.camera import PARAMETERS, SHAKE_DEGREES
-from photocal.geometry.lens import BROWN, LINE, OTHERS, Ray, Scratch, bent, image_residual
+from photocal.geometry.lens import BROWN, LINE, OTHERS, Ray, Scratch, image_residual, other_residual
 
 # Positions of the readout time and of an image's movement among its parameters, and of the given velocity and
 # rate among its optics.
@@ -95,7 +95,7 @@ def rolling_residual(
         qv = pv + first * c1 + second * (r2 * c0 - r0 * c2)
         qw = pw + first * c2 + second * (r0 * c1 - r1 * c0)
         if optics[k, 0] >= OTHERS:
-            ex, ey = bent(lenses, optics, Ray(k, x, y, qu, qv, qw), room)
+            ex, ey = other_residual(lenses, optics, Ray(k, x, y, qu, qv, qw), room)
         else:
             ex, ey = image_residual(lenses, optics, Ray(k, x, y, qu, qv, qw), room)
         steps += 1

@@ -275,8 +275,8 @@ def _beside_table(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
         yield _about("table-beside-pictures", away, facts, "doubtful", apart_m=apart)
 
 
-def told_beside(facts: Sequence[ImageFacts], say: Catalogue) -> list[str]:
-    """Sentences on what pictures tell beside their cameras and positions: laser and temperatures."""
+def laser_and_temperature(facts: Sequence[ImageFacts], say: Catalogue) -> list[str]:
+    """Sentences on the laser distances and temperatures that pictures state."""
     lasers = np.array([image.laser_m for image in facts])
     hit, told = lasers[np.isfinite(lasers)], list[str]()
     if len(hit):
@@ -284,7 +284,7 @@ def told_beside(facts: Sequence[ImageFacts], say: Catalogue) -> list[str]:
         heights = heights[np.isfinite(heights)]
         each = say("new.laser_each", distances=", ".join(say.fixed(distance, 1) for distance in hit))
         spread = say("new.laser_spread", **_three(hit.min(), np.median(hit), hit.max(), say))
-        # So many laser distances are told one by one.
+        # So many laser distances are listed one by one.
         listed = 12
         spread = each if len(hit) <= listed else spread
         text = say("new.laser", n=len(hit), all=len(facts), distances=spread)

@@ -53,7 +53,7 @@ def with_shutters_closed(held: AdjustedTies) -> AdjustedTies:
 def with_chosen_lenses(
     adjusted: AdjustedTies, block: Block, tracks: Tracks
 ) -> tuple[AdjustedTies, Block, list[Finding]]:
-    """Adjust with the lens that the rays prefer: `brown-ideal` or `brown-observed`, more terms or not.
+    """Adjust with the lens that fits better: `brown-ideal` or `brown-observed`, more terms or not.
 
     These are K4, and a scale of y against x. A rolling shutter feigns that one: it is observed as one until
     it pays beside a readout. Shutters are tested now. A camera whose coefficients are held, known beforehand
@@ -211,7 +211,7 @@ def _narrowed(adjusted: AdjustedTies) -> float:
 
 
 def _still_pays(better: AdjustedTies, before: AdjustedTies, name: str) -> bool:
-    """Whether a lens lowers v'Pv beside a readout, too: without it the rays prefer any lens that bends."""
+    """Whether a lens lowers v'Pv beside a readout, too: without it any lens with more terms fits better."""
     names = [camera.id for camera in better.start.cameras]
     place = names.index(name)
     lens = better.start.cameras[place]

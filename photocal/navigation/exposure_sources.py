@@ -25,7 +25,7 @@ from photocal.navigation.vehicle import VehicleTrack
 
 ELLIPSOIDAL, SEA_LEVEL = "ellipsoidal", "above mean sea level, as the autopilot computes it"
 OF_IMAGES = "as the images state it (makers mostly write the height above mean sea level)"
-# Hot shoe before the camera's own word before what the autopilot asked for.
+# By priority: the hot shoe, the camera's own message, the trigger of the autopilot.
 _LOGGED = (
     "CAMERA_FEEDBACK", "CAM", "camera_capture", "CAMERA_IMAGE_CAPTURED", "CAMERA_TRIGGER", "TRIG",
     "camera_trigger",

@@ -170,4 +170,4 @@ def _draw(block: FlownBlock, stations: Floats, path: Path) -> None:
         for x, y, _ in gaps(block):
             axes.plot([x], [y], "x", color="red", markersize=8)
         axes.set(xlabel="m", ylabel="m")
-        figure.colorbar(shown, ax=axes, shrink=0.8, label="images that show a place")
+        figure.colorbar(shown, ax=axes, shrink=0.8, label="overlap, images")

@@ -1,4 +1,4 @@
-"""What of a project of another program cannot be adjusted: gross rays, gross control, what hangs loose.
+"""What a project of another program loses: gross rays, gross control, weakly determined points.
 
 A project of another program without control, brought onto a list beside it.
 """

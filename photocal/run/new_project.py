@@ -24,7 +24,7 @@ from photocal.measurement.listed_positions import judge_order
 from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
 from photocal.measurement.mark_frames import AS_STORED, MarkFrame, parse_frame
 from photocal.measurement.marks import ControlMarks, named_after, pointed_after
-from photocal.measurement.picture_tests import judge_cameras, judge_pictures, told_beside
+from photocal.measurement.picture_tests import judge_cameras, judge_pictures, laser_and_temperature
 from photocal.measurement.position_files import PlacesOfPictures, read_positions
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
@@ -318,7 +318,7 @@ class _Text:
         counted = {"n": count, "folder": named_so, "placed": len(self.placed)}
         comment = say("new.pictures", **counted)
         self.known.append(say("new.pictures_sigma", **counted, stated=stated) if stated else comment)
-        self.known += told_beside(self.facts, say)
+        self.known += laser_and_temperature(self.facts, say)
         judged = judge_cameras(self.facts, self.cameras, self.member.tolist())
         self.missing += [finding_text(finding, say, plain) for finding in judged]
         self.known += [

@@ -1,8 +1,8 @@
-"""What is wrong with a project before anything is measured: found by trying the exchange and seeing it fit.
+"""Errors of a project that show before anything is measured: swapped units, axes and zones are tried.
 
-A slip of the pen in a project (a zone, exchanged axes, feet) makes every later figure absurd, and the last of
-them says least. So coordinates are compared here with each other, and where they contradict, the usual slips
-are tried one by one: the one that makes them agree is named.
+A typing error in a project (a zone, exchanged axes, feet) makes every later figure absurd, and the last of
+them says least. So coordinates are compared here with each other; where they contradict, the usual errors
+are tried one by one, and the one that makes them agree is named.
 """
 
 import datetime as dt

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ ROOT = Path(__file__).parents[2]
 BUILD = ROOT / "build"
 # Without it a page opened from a file is not searched; the theme would fetch it at every page.
 _SHIM = Path(__file__).with_name("vendor") / "iframe-worker.js"
+# Names of files and keys at the head of a row stay in one piece.
+_STYLE = ".md-typeset td:first-child code { white-space: nowrap; }\n"
 _REFERENCE = (
     "project-file", "block-folder", "recording", "monitor", "exposures", "pictures", "marking",
     "georeferencing-check", "faults", "exchange", "exit-codes", "nomenclature",
@@ -29,6 +32,7 @@ _SITE: dict[str, Any] = {
     },
     "plugins": ["search", "offline"],
     "extra": {"polyfills": [_SHIM.name]},
+    "extra_css": ["site.css"],
     "markdown_extensions": ["tables", {"toc": {"permalink": True}}, "pymdownx.superfences"],
     "validation": {"links": {"not_found": "warn", "anchors": "warn", "unrecognized_links": "warn"}},
 }
@@ -56,9 +60,10 @@ def navigation() -> list[Any]:
 
 
 def _pages(folder: str) -> list[str]:
-    """Pages of a folder, its list first."""
-    paths = sorted((ROOT / "docs" / folder).glob("*.md"), key=lambda path: (path.name != "README.md", path))
-    return [path.relative_to(ROOT).as_posix() for path in paths]
+    """Pages of a folder: its list first, then those that it links, in its order."""
+    listed = (ROOT / "docs" / folder / "README.md").read_text(encoding="utf-8")
+    linked = re.findall(r"\]\(([\w.-]+\.md)\)", listed)
+    return [f"docs/{folder}/{name}" for name in dict.fromkeys(["README.md", *linked])]
 
 
 def stage() -> Path:
@@ -71,6 +76,7 @@ def stage() -> Path:
     for path in (*ROOT.glob("*.md"), ROOT / "LICENSE", ROOT / "CITATION.cff", ROOT / "Containerfile"):
         shutil.copy(path, pages)
     shutil.copy(_SHIM, pages)
+    (pages / "site.css").write_text(_STYLE, encoding="utf-8")
     configuration = BUILD / "mkdocs.yml"
     # JSON is YAML.
     configuration.write_text(json.dumps({**_SITE, "nav": navigation()}, indent=1), encoding="utf-8")

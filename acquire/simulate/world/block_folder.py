@@ -189,7 +189,7 @@ def noted_control(world: World, coordinates: Floats) -> tuple[list[tuple[str, ..
 
 def _swapped(texts: tuple[str, ...]) -> tuple[str, ...]:
     """Swap two neighbouring digits of a coordinate, the last ones that make half a metre."""
-    # A slip of the pen by less would pass for noise.
+    # A smaller typing error would pass for noise.
     least_slip_m = 0.5
     for axis, text in enumerate(texts):
         for place in range(len(text) - 2, -1, -1):

@@ -398,7 +398,7 @@ def of_heads(fitted: AdjustedNetwork) -> list[Finding]:
     # Exposures without a time stand in the order of their images.
     known = when is not None and np.isfinite(when).all()
     moment = when[rig.second] if known and when is not None else rig.second.astype(float)
-    give, tried = rig.give(network.exposures.camera), []
+    give, tried = rig.relation_sigma(network.exposures.camera), []
     for k in np.unique(head[rig.second]).tolist():
         pairs = np.flatnonzero(head[rig.second] == k)
         pairs = pairs[np.argsort(moment[pairs], kind="stable")]

@@ -91,7 +91,7 @@ def test_given_readout_is_taken() -> None:
 
 
 def test_vibration_within_the_readout_is_held() -> None:
-    """Lines that lie 0.6 px beside a steady movement spoil the camera where images may not shake."""
+    """Lines displaced by 0.6 px from a steady movement bias the camera where images may not shake."""
     motion = {"readout_s": 0.03, "sigma_px": 0.1, "vibration_deg": 0.01}
     truth, network = flights.case("attitudes", 1, **motion, **SMALL)  # type: ignore[arg-type]
     network, solution, _ = with_moving_images(network, adjust(network))

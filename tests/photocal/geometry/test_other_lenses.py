@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from photocal.geometry.camera import AFFINITY_MATRICES, PARAMETERS, Camera, Model, camera, plane_to_pixel
 from photocal.geometry.distortion import distorted, projected, undistorted
-from photocal.geometry.lens import Ray, bent, optics, scratch
+from photocal.geometry.lens import Ray, optics, other_residual, scratch
 from tests.photocal import oracle
 
 Floats = NDArray[np.float64]
@@ -49,7 +49,7 @@ def test_residual_and_derivatives(model: Model, form: Any) -> None:
     assert own.affinity == "after"
     for q in rays(0.9 if model == "rational" else 1.9)[1:]:
         a, b, c = q.tolist()
-        v = bent(own.values[None], optics(own)[None], Ray(0, 3.0, -4.0, a, b, c), room)
+        v = other_residual(own.values[None], optics(own)[None], Ray(0, 3.0, -4.0, a, b, c), room)
         measured = np.array([3.0, -4.0])
         assert v == pytest.approx(oracle.residual(own, own.values, measured, q), abs=1e-9)
         for n, name in enumerate(PARAMETERS[:-1]):
@@ -70,8 +70,8 @@ def test_residual_and_derivatives(model: Model, form: Any) -> None:
 @pytest.mark.parametrize("model", COEFFICIENTS)
 def test_on_the_axis_derivatives_are_those_beside_it(model: Model) -> None:
     own, room, beside = lens(model), scratch(0), scratch(0)
-    bent(own.values[None], optics(own)[None], Ray(0, 0.0, 0.0, 0.0, 0.0, -5.0), room)
-    bent(own.values[None], optics(own)[None], Ray(0, 0.0, 0.0, 1e-7, 2e-7, -5.0), beside)
+    other_residual(own.values[None], optics(own)[None], Ray(0, 0.0, 0.0, 0.0, 0.0, -5.0), room)
+    other_residual(own.values[None], optics(own)[None], Ray(0, 0.0, 0.0, 1e-7, 2e-7, -5.0), beside)
     assert room.by_q == pytest.approx(beside.by_q, abs=1e-4)
     assert room.by_camera == pytest.approx(beside.by_camera, abs=1e-4)
 

@@ -122,7 +122,7 @@ def test_a_wrong_lens_is_no_readout() -> None:
 
 @pytest.mark.parametrize(("seed", "readout"), [(3, 0.06), (4, 0.025), (5, 0.025)])
 def test_a_readout_is_no_other_lens(seed: int, readout: float) -> None:
-    """Where the shutter rolls and its readout is left out, the rays prefer any lens that bends."""
+    """Where the shutter rolls and its readout is left out, any lens with more terms fits better."""
     adjusted, block, tracks = flown(lens("brown-ideal", (-0.10, 0.05, -0.02)), seed, True, readout)
     better, chosen, findings = with_chosen_lenses(with_shutters_closed(adjusted), block, tracks)
     assert findings == []
