@@ -54,18 +54,23 @@ def verdict_on(figures: dict[str, Any], exposures: dict[str, int]) -> dict[str, 
     apart = _apart(links)
     raw_apart = [pair for pair in apart if steady.keys() >= set(pair)]
     remarks = [*_of_exposures(seen), *_of_damage(links.values()), *map(_do_not_overlap, apart)]
+    blind = {name: link["exposures"] for name, link in links.items() if link.get("exposures")}
+    remarks += [_blind(name, **counts) for name, counts in blind.items() if counts["without_observations"]]
+    never = [_blind(name, **now) for name, now in blind.items() if now["without_observations"] == now["seen"]]
     remarks += [f"{name}: the imported file ends early" for name in _cut(figures.get("metadata", {}), links)]
     gaps = any((now["longest_gap_s"] or 0.0) > GAP_S for now in steady.values())
     faultless = not remarks and not gaps and figures["complete"]
     if not figures["complete"]:
         remarks.append("the log ends early: acquire recover saves its intact part")
     orbits = any(kind["type"] in _ORBITS for link in links.values() for kind in link["types"])
+    missing = _lacks_for_ppk([*steady], orbits=orbits)
+    missing += map(_do_not_overlap, raw_apart) if raw_apart else never
     no_exposure = [] if seen.get("mark") or seen.get("feedback") else ["no time mark and no camera feedback"]
     return {
         "complete": faultless and bool(seen),
         "exposures": seen,
         "receivers": steady,
-        "ppk": _possible([*_lacks_for_ppk([*steady], orbits=orbits), *map(_do_not_overlap, raw_apart)]),
+        "ppk": _possible(missing),
         "exposures_possible": _possible(no_exposure),
         "remarks": remarks,
     }
@@ -122,6 +127,10 @@ def _of_damage(links: Any) -> list[str]:
         for link in links
         if link["damage_bytes"] > 0.01 * max(link["frame_bytes"], 1)
     ]
+
+
+def _blind(name: str, seen: int, without_observations: int) -> str:
+    return f"{name}: no raw observations at {without_observations} of {seen} exposures"
 
 
 def _apart(links: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
@@ -254,8 +263,8 @@ class LinkSummary:
             at = system_time.index
             self.clock.append((system[at], system_time.fields, log_ns[at]))
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the figures."""
+    def as_json(self, exposures_ns: Integers) -> dict[str, Any]:
+        """Return the figures; of a receiver also at how many exposures its observations lack."""
         times = np.sort(np.concatenate([np.empty(0, np.int64), *self.times]))
         duration = _seconds(times[-1] - times[0]) if len(times) else 0.0
         return {
@@ -268,7 +277,19 @@ class LinkSummary:
             "types": [self._type(key, parts) for key, parts in sorted(self.by_type.items())],
             "sources": [_sender(*item) for item in sorted(self.senders.items())],
             "clock": clock_figures(self.clock),
+            "exposures": self._at(exposures_ns),
         }
+
+    def _at(self, exposures_ns: Integers) -> dict[str, int] | None:
+        raw = [part for (_, name), parts in self.by_type.items() if name in _OBSERVATIONS for part in parts]
+        if not raw or not len(exposures_ns):
+            return None
+        times = np.sort(np.concatenate(raw))
+        after = np.searchsorted(times, exposures_ns)
+        inside = (after > 0) & (after < len(times))
+        step = times[after[inside]] - times[after[inside] - 1]
+        covered = int((step <= GAP_S * 1e9).sum())
+        return {"seen": len(exposures_ns), "without_observations": len(exposures_ns) - covered}
 
     @staticmethod
     def _type(key: tuple[str, str], parts: list[Integers]) -> dict[str, Any]:
@@ -293,7 +314,7 @@ def summarise(path: Path, dialect: Dialect) -> dict[str, Any]:
     fixes: dict[str, Counter[str]] = {}
     topics: Counter[tuple[str, str, str]] = Counter()
     parameters: dict[str, dict[str, float]] = {}
-    exposures: Counter[str] = Counter()
+    exposed: dict[str, list[int]] = {}
     for chunk in reader.chunks():
         for messages in chunk:
             channel = messages.channel
@@ -304,7 +325,8 @@ def summarise(path: Path, dialect: Dialect) -> dict[str, Any]:
                 counts = fixes.setdefault(receiver, Counter())
                 counts.update(str(read_json(payload, path).get("fix")) for payload in messages.payloads)
             elif schema == "photocal.Exposure":
-                exposures.update(str(read_json(payload, path).get("edge")) for payload in messages.payloads)
+                for payload, log_ns in zip(messages.payloads, messages.log_ns.tolist(), strict=True):
+                    exposed.setdefault(str(read_json(payload, path).get("edge")), []).append(log_ns)
             elif schema == "photocal.Parameter":
                 contents = [read_json(payload, path) for payload in messages.payloads]
                 values = {str(p["name"]): float(p["value"]) for p in contents if p.get("value") is not None}
@@ -322,7 +344,7 @@ def summarise(path: Path, dialect: Dialect) -> dict[str, Any]:
         "file": str(path),
         "bytes": path.stat().st_size,
         "complete": reader.complete,
-        "links": [link.as_json() for _, link in sorted(links.items())],
+        "links": [link.as_json(_moments(exposed)) for _, link in sorted(links.items())],
         "fixes": {receiver: dict(counts) for receiver, counts in sorted(fixes.items())},
         "topics": [
             {"topic": topic, "encoding": encoding, "schema": schema, "messages": count}
@@ -334,7 +356,14 @@ def summarise(path: Path, dialect: Dialect) -> dict[str, Any]:
             for source, told in sorted(parameters.items())
         },
     }
-    return {**figures, "verdict": verdict_on(figures, exposures)}
+    return {**figures, "verdict": verdict_on(figures, {edge: len(times) for edge, times in exposed.items()})}
+
+
+def _moments(exposed: dict[str, list[int]]) -> Integers:
+    """Times of the exposures, by marks of a receiver where there are any: those have its clock."""
+    marks = [times for edge, times in exposed.items() if edge not in ("trigger", "feedback")]
+    best = max(marks, key=len) if marks else exposed.get("feedback", exposed.get("trigger", []))
+    return np.array(best, np.int64)
 
 
 def _sender(source: tuple[int, int], parts: list[Bytes]) -> dict[str, int]:

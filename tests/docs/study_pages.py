@@ -121,7 +121,7 @@ def _pictures(name: str, made: Repeated) -> list[str]:
     if not made.study.picture:
         return []
     parts = [
-        f"![{one.shows}]({name}-{one.file})\n\n{one.shows}. The study concluded: {one.concluded}"
+        f"![{one.shows}]({name}-{one.file})\n\n{one.shows[0].upper()}{one.shows[1:]}. The study concluded: {one.concluded}"
         for one in made.study.picture
     ]
     return ["## Figures drawn again", *parts]

@@ -262,4 +262,4 @@ def _bars(pairs: tuple[CalibrationPair, ...], axes: "Axes") -> None:
     axes.set_yscale("log")
     axes.set_xticks(range(len(pairs)), [f"{p.first}-{p.second}" for p in pairs], rotation=60, fontsize=7)
     axes.set_title("pairs, px", loc="left")
-    axes.legend(fontsize=6, ncols=4, frameon=False)
+    axes.legend(fontsize=6, ncols=4, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0))

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import pytest
+from pymavlink import mavutil
 
 from acquire.channels.summary import verdict_lines, verdict_on
 from acquire.commands.texts import texts
+from tests.acquire.conftest import Acquire
 
 
 def kind(name: str, longest_gap_s: float = 0.2, rate_hz: float = 5.0) -> dict[str, Any]:
@@ -91,3 +95,22 @@ def test_a_packed_recording_that_was_cut_is_not_complete() -> None:
     said = verdict_on(figures(ROVER, BASE) | cut, SEEN)
     assert not said["complete"]
     assert "  rover: the imported file ends early" in verdict_lines(said, ENGLISH)
+
+
+def test_a_base_that_stops_before_the_last_picture_is_named(acquire: Acquire, tmp_path: Path) -> None:
+    """No gap shows it, for what lacks is the end; the exposures tell from when on it is missed."""
+    made = acquire("simulate", "flight", "small", "--level", "observations", "-o", tmp_path)
+    assert made.returncode == 0, made.stderr
+    site, log = tmp_path / "site", tmp_path / "flight.mcap"
+    base = (site / "base.ubx").read_bytes()
+    (site / "base.ubx").write_bytes(base[: len(base) // 2])
+    done = acquire("import", *(site / name for name in ("vehicle.tlog", "rover.ubx", "base.ubx")), "-o", log)
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(acquire("info", log, "--json").stdout)
+    ends_s = next(link["span_ns"][1] for link in figures["links"] if link["link"] == "base") / 1e9
+    flight = mavutil.mavlink_connection(str(site / "vehicle.tlog"))
+    reported = iter(lambda: flight.recv_match(type="CAMERA_FEEDBACK"), None)
+    late = sum(picture._timestamp > ends_s for picture in reported)
+    assert 0 < late < 10
+    assert not figures["verdict"]["complete"]
+    assert f"base: no raw observations at {late} of 10 exposures" in acquire("info", log).stdout

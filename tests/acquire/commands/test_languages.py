@@ -106,7 +106,7 @@ def of_calls(module: ModuleType, *names: str) -> Iterator[str]:
 
 def sentences() -> Iterator[str]:
     """Every sentence that these commands print and that was made in English."""
-    yield from of_function(summary, "_of_damage", "_lacks_for_ppk", "verdict_on")
+    yield from of_function(summary, "_of_damage", "_lacks_for_ppk", "_blind", "verdict_on")
     yield from (f"only 7 of 10 pictures {lacks}" for lacks in summary._LACKS.values())
     yield from (f"the host clock ran 4.6 times {way} than the autopilot's: times of receipt are not flight "
                 "times, use the autopilot's times; host minus autopilot clock from +1.00 s to +2.00 s"
@@ -237,5 +237,5 @@ def test_a_check_names_what_is_bad(acquire: Acquire, tmp_path: Path) -> None:
     assert done.returncode == 10
     port, disk = done.stdout.splitlines()
     assert port == "ERRO  base: porta: perdido: não existe esta porta: o equipamento está conectado?"
-    assert re.fullmatch(r"ok    disco logs: \d+ MB livres", disk)
+    assert re.fullmatch(r"ok    disco logs: \d+,\d GB livres", disk)
     assert done.stderr == f"erro: {path}: não está pronto: base: porta; corrija isso antes do voo\n"
