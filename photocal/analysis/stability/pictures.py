@@ -207,7 +207,8 @@ def _over_sets(calibrations: tuple[Camera, ...], name: str, axes: "Axes") -> Non
     sigmas = [camera.sigma_of(name) for camera in calibrations]
     axes.errorbar(range(len(values)), values, yerr=sigmas, fmt="o", color="#1a1a1a", markersize=3, capsize=2)
     axes.set_xticks(range(len(values)), [camera.id for camera in calibrations], fontsize=7)
-    axes.set_title(name, loc="left")
+    length = name in ("c", "x0", "y0")
+    axes.set_title(f"{name}, {calibrations[0].unit}" if length else name, loc="left")
     axes.tick_params(axis="y", labelsize=6)
 
 
