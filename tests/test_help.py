@@ -75,7 +75,7 @@ def test_every_portuguese_help_text_is_of_a_command(program: str) -> None:
 
 @both
 @pytest.mark.parametrize("width", [60, 80])
-def test_no_help_is_english_or_too_wide(program: str, monkeypatch: pytest.MonkeyPatch, width: int) -> None:
+def test_no_help_is_english_too_wide_or_cut(program: str, monkeypatch: pytest.MonkeyPatch, width: int) -> None:
     monkeypatch.setenv("LC_ALL", "pt_BR.UTF-8")
     monkeypatch.setenv("COLUMNS", str(width))
     foreign, wrong = english(program), []
@@ -85,7 +85,9 @@ def test_no_help_is_english_or_too_wide(program: str, monkeypatch: pytest.Monkey
         assert printed.returncode == 0
         assert printed.stdout.startswith("Uso: ")
         wide = [line for line in printed.stdout.splitlines() if len(line) > width]
-        if told := words(printed.stdout) & foreign or wide:
+        # An option of an example that is cut in two cannot be copied.
+        cut = re.findall(r"--[\w-]*-$", printed.stdout, re.MULTILINE)
+        if told := words(printed.stdout) & foreign or wide or cut:
             wrong.append((call, told))
     assert wrong == []
 

@@ -89,9 +89,7 @@ class _Context(typer.Context):
         """Make what writes the help; each text goes through `said`, which the program hands in."""
         formatter: Any = super().make_formatter()
         said: Callable[[str], str] = self.obj or str
-        usage, heading, text, table = (
-            getattr(formatter, f"write_{part}") for part in ("usage", "heading", "text", "dl")
-        )
+        usage, heading, table = (getattr(formatter, f"write_{part}") for part in ("usage", "heading", "dl"))
 
         def names(line: str) -> str:
             """Say the placeholders of a usage, and the kinds of values."""
@@ -107,14 +105,22 @@ class _Context(typer.Context):
             )
 
         def paragraphs(whole: str) -> str:
-            """Say what a command does."""
-            return "\n\n".join(said(" ".join(one.split())) for one in whole.split("\n\n"))
+            """Say what a command does; options in it stay whole, to be copied."""
+            indent = " " * formatter.current_indent
+            fold = partial(
+                textwrap.fill,
+                width=formatter.width,
+                initial_indent=indent,
+                subsequent_indent=indent,
+                break_on_hyphens=False,
+            )
+            return "\n\n".join(fold(said(" ".join(one.split()))) for one in whole.split("\n\n"))
 
         formatter.write_usage = lambda program, line="", _=None: usage(
             program, names(line), f"{said('Usage:')} "
         )
         formatter.write_heading = lambda title: heading(said(title))
-        formatter.write_text = lambda whole: text(paragraphs(whole))
+        formatter.write_text = lambda whole: formatter.write(paragraphs(whole) + "\n")
         formatter.write_dl = lambda rows, **settings: table(
             [(names(name), meaning(cell)) for name, cell in rows], **settings
         )
