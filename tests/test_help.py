@@ -75,7 +75,9 @@ def test_every_portuguese_help_text_is_of_a_command(program: str) -> None:
 
 @both
 @pytest.mark.parametrize("width", [60, 80])
-def test_no_help_is_english_too_wide_or_cut(program: str, monkeypatch: pytest.MonkeyPatch, width: int) -> None:
+def test_no_help_is_english_too_wide_or_cut(
+    program: str, monkeypatch: pytest.MonkeyPatch, width: int
+) -> None:
     monkeypatch.setenv("LC_ALL", "pt_BR.UTF-8")
     monkeypatch.setenv("COLUMNS", str(width))
     foreign, wrong = english(program), []

@@ -32,7 +32,7 @@ from photocal.project import ASKED, NAME
 from photocal.run.camera_card import ChosenPictures, chosen_pictures
 from photocal.run.folder_survey import ASSUMED_M, FolderContents, named_as_checks, named_checks, survey
 from photocal.run.new_control import NewProject, settle
-from photocal.run.renewed_project import answered_height, renewed, written_before
+from photocal.run.renewed_project import answered_height, differing, renewed, written_before
 
 PICTURES = "pictures.csv"
 # Positions of a receiver without corrections; their heights count from another surface than those of control.
@@ -94,6 +94,8 @@ def new_project(
     there = [name for name in files if (folder / name).exists()]
     if again and NAME in there:
         moved = [name for name in files if name.endswith("marks.csv") and made_in is not None]
+        for name, points in differing(folder, files, moved).items():
+            made.doubtful.append(say("new.kept_other", file=name, points=some_names(points, say)))
         files, changes = renewed(folder, files, moved)
     elif there:
         remedy = f"photocal new {folder} --again keeps your entries and adds new findings"
@@ -514,7 +516,7 @@ class _Text:
         comment = say("new.control", **counted, file=self._beside(given.file))
         self.known.append(say("new.control_known", text=comment))
         self._other_control(given)
-        yield f"\n[control]  # {comment}"
+        yield f"\n[control]  # {comment}; {say('new.control_copied')}"
         sigma = dict(zip(("plane", "height"), map(say.as_given, ASSUMED_M), strict=True))
         yield 'points = "control.csv"' + (f"  # {say('new.control_sigma', **sigma)}" if given.assumed else "")
         frame = self.control.frame

@@ -70,6 +70,31 @@ def renewed(
     return made, tuple(changes)
 
 
+def differing(folder: Path, files: Mapping[str, str], moved: Collection[str] = ()) -> dict[str, list[str]]:
+    """Points, by the tables that keep them, whose places are by now others in the list that was read."""
+    found = {}
+    for name in files.keys() - {NAME, *moved}:
+        if (folder / name).exists():
+            there = _places((folder / name).read_text(encoding="utf-8"))
+            now = _places(files[name])
+            found[name] = [of for of in now.keys() & there.keys() if now[of] != there[of]]
+    return {name: sorted({of[-1] for of in those}) for name, those in sorted(found.items()) if those}
+
+
+def _places(table: str) -> dict[tuple[str, ...], list[str]]:
+    """Coordinates of points, or of marks, by their names; how many digits are written does not matter."""
+    head, *rows = (line.split(",") for line in table.splitlines())
+    names = head.index("point") + 1 if "point" in head else len(head)
+
+    def plain(cell: str) -> str:
+        try:
+            return f"{float(cell):.3f}"
+        except ValueError:
+            return cell.strip()
+
+    return {tuple(row[:names]): [plain(cell) for cell in row[names:4]] for row in rows}
+
+
 def _merge(kept: Any, found: Any) -> None:
     """Add what one table lacks, and fill in what is still asked."""
     for key, value in found.items():

@@ -409,3 +409,23 @@ def test_again_keeps_what_a_person_wrote(pictures: Path, tmp_path: Path, photoca
     assert points == {row.name for row in typed} | {"G6"}
     # Once more there is nothing to add.
     assert new(photocal, folder, "--again")["changed"] == []
+
+
+def test_again_names_points_that_the_list_now_has_elsewhere(
+    pictures: Path, tmp_path: Path, photocal: Photocal
+) -> None:
+    """A correction in the list of the surveyor does not reach the table that is read: it must not be silent."""
+    folder = tmp_path / "f"
+    site_folder(pictures, folder, positions=True)
+    new(photocal, folder)
+    given, control = folder / "gcp_list.txt", folder / "control.csv"
+    row = next(line for line in control.read_text().splitlines() if line.startswith("G2,"))
+    east = row.split(",")[1]
+    typed = next(word for word in given.read_text().split() if word.replace(",", ".").startswith(east[:9]))
+    given.write_text(given.read_text().replace(typed, typed.replace(typed[:6], str(int(typed[:6]) + 1), 1)))
+    doubts = new(photocal, folder, "--again")["doubtful"]
+    assert [line for line in doubts if "control.csv is kept" in line and "coordinates of G2:" in line]
+    assert row in control.read_text().splitlines()
+    control.unlink()
+    assert not [line for line in new(photocal, folder, "--again")["doubtful"] if "is kept" in line]
+    assert row not in control.read_text().splitlines()
