@@ -121,7 +121,8 @@ def _pictures(name: str, made: Repeated) -> list[str]:
     if not made.study.picture:
         return []
     parts = [
-        f"![{one.shows}]({name}-{one.file})\n\n{one.shows[0].upper()}{one.shows[1:]}. The study concluded: {one.concluded}"
+        f"![{one.shows}]({name}-{one.file})\n\n"
+        f"{one.shows[0].upper()}{one.shows[1:]}. The study concluded: {one.concluded}"
         for one in made.study.picture
     ]
     return ["## Figures drawn again", *parts]

@@ -208,9 +208,9 @@ def test_a_third_of_the_control_may_be_gross(
         assert sum("E and N are exchanged" in line for line in found["doubtful"]) == 2
     said = ran(photocal, tmp_path / "f")
     for name in ("G2", "G4"):
-        assert re.search(rf"Control point {name} (does not lie where its rays intersect: by|lies)", said), (
-            said
-        )
+        assert re.search(
+            rf"Control point {name} (and the intersection of its rays disagree: by|lies)", said
+        ), said
     assert not re.search(r"Control point G[1356]", said)
     work = tmp_path / "f/work"
     points = (work / "calibration/points.csv").read_text().splitlines()
@@ -414,7 +414,7 @@ def test_again_keeps_what_a_person_wrote(pictures: Path, tmp_path: Path, photoca
 def test_again_names_points_that_the_list_now_has_elsewhere(
     pictures: Path, tmp_path: Path, photocal: Photocal
 ) -> None:
-    """A correction in the list of the surveyor does not reach the table that is read: it must not be silent."""
+    """A correction in the surveyor's list does not reach the table that is read: that is said."""
     folder = tmp_path / "f"
     site_folder(pictures, folder, positions=True)
     new(photocal, folder)
