@@ -13,7 +13,7 @@ from photocal.base.files import output_file, write_json
 from photocal.base.progress import Progress, Standing
 
 # What stands before the stages where the program has just been installed.
-COMPILING = "compiling"
+COMPILING = "kernels"
 # Seconds that a stage takes at first, for each picture, each megapixel and each thousand rays, on two cores.
 _USUAL = {
     COMPILING: (50.0, 0.0, 0.0, 0.0),
