@@ -87,6 +87,7 @@ def _places(table: str) -> dict[tuple[str, ...], list[str]]:
     names = head.index("point") + 1 if "point" in head else len(head)
 
     def plain(cell: str) -> str:
+        """Give a number to a millimetre, or to a thousandth of a pixel."""
         try:
             return f"{float(cell):.3f}"
         except ValueError:
