@@ -205,11 +205,12 @@ def _in_metres(metres: ObjectPoints, crs: str, placed: Sequence[ImageFacts]) -> 
 
 def _with_place(made: NewProject, given: ControlMarks | None, placed: Sequence[ImageFacts]) -> None:
     """Name the slip of all points where they contradict the places of the pictures, which stops a run."""
-    if not placed or given is None:
+    if not placed:
         return
     place = (*middle_of(placed), "the pictures' positions", FAR_FROM_PICTURES_M)
+    file = None if given is None else given.file
     try:
-        check_place(made.crs or zone_of(placed), made.points, (given.file, Path("project.toml")), place)
+        check_place(made.crs or zone_of(placed), made.points, (file, Path("project.toml")), place)
     except ConfigurationError as slip:
         # Where the system is still asked for it may be any.
         if made.crs or not slip.what.startswith("the control points lie"):

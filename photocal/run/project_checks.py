@@ -20,7 +20,7 @@ from photocal.exchange.source import read_json
 from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.frames import level_of, reference_frame, require_geoid, system_of, utm_zones
 from photocal.geometry.oriented_images import given_places
-from photocal.geometry.systems import heights_at, missing_grids
+from photocal.geometry.systems import degrees_outside, heights_at, missing_grids
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
 from photocal.measurement.marks import read_marks
@@ -42,6 +42,8 @@ FREED = 'position_sigma_m = "free" in [images], and control alone places the blo
 NARROWEST, LONGEST = 0.08, 100.0
 # Of so many control points some may be wrong.
 SOME_WRONG = 1 / 3
+# Flights at the edge of a zone are mapped in its neighbour, too.
+NEIGHBOURING_DEG = 6.0
 _PICTURES = 10
 _UNITS = {"feet": 0.3048, "millimetres": 0.001, "centimetres": 0.01, "kilometres": 1000.0}
 Place = tuple[float, float, str, float]
@@ -234,13 +236,16 @@ def _check_heights(project: Project, control: ObjectPoints) -> None:
 
 
 def check_place(crs: str, control: ObjectPoints, files: tuple[Path | None, Path], place: Place) -> None:
-    """Complain of control in its system that contradicts a place that is known in degrees.
+    """Complain of a system, and of control in it, that contradict a place that is known in degrees.
 
     files: that of the control, and that of the system.
     """
-    if crs == "local" or not len(control.names):
+    if crs == "local":
         return
     latitude, longitude, what, far = place
+    if not len(control.names):
+        _check_area(crs, files[1], place)
+        return
     known = np.isfinite(control.values[:, :2]).all(axis=1)
     stated = np.where(known, _away(latitude, longitude, crs, control.values[:, :2]), 0.0)
     off = stated > far
@@ -283,6 +288,18 @@ def check_place(crs: str, control: ObjectPoints, files: tuple[Path | None, Path]
             f"the control points lie {usual / 1000:.0f} km from {what}, and no exchange of axes, signs, "
             "units or zones explains it",
             "check crs, control and positions",
+        )
+
+
+def _check_area(crs: str, file: Path, place: Place) -> None:
+    """Complain of a system of another part of the world, where no control says that it is meant."""
+    latitude, longitude, what, _ = place
+    off = float(degrees_outside(crs, np.array([latitude]), np.array([longitude]))[0])
+    if off > NEIGHBOURING_DEG:
+        raise ConfigurationError(
+            f"crs = {crs!r} is the system of another place: its area ends {off:.0f} degrees from {what}",
+            _proposal(place),
+            where=file,
         )
 
 

@@ -137,3 +137,16 @@ def test_control_in_feet_is_named(flown: Block) -> None:
     wrong = spoiled(flown, (3.28084, 3.28084, 3.28084), (0, 0, 0))
     with pytest.raises(ConfigurationError, match="the control points are in feet"):
         check_rays(wrong, None)
+
+
+def test_a_system_of_another_place_is_refused_where_no_control_is_in_it(site: Path) -> None:
+    """Nothing else would say so: the block is adjusted, turned by the meridians' convergence."""
+    file = site / "project.toml"
+    alone = PROJECT.replace('[control]\npoints = "control.csv"\n', "")
+    # Its own zone, and the one beside it.
+    for code in ("EPSG:31982", "EPSG:31983"):
+        file.write_text(alone.replace("EPSG:31982", code))
+        check_project(read_project(file))
+    file.write_text(alone.replace("EPSG:31982", "EPSG:32614"))
+    with pytest.raises(ConfigurationError, match=r"is the system of another place.*such as EPSG:32722"):
+        check_project(read_project(file))
