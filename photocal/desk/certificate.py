@@ -21,9 +21,10 @@ from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Respon
 from starlette.routing import BaseRoute, Route
 
 from photocal.base.archives import DAMAGES
+from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.base.files import output_file
-from photocal.base.web import calling, doing, short_body, telling
+from photocal.base.web import calling, checked, doing, short_body, telling
 from photocal.desk import project_file
 from photocal.desk.folder import pictures
 from photocal.desk.jobs import asked
@@ -133,8 +134,16 @@ _LONGEST_ZIP, _MOST_FILES, _LONGEST_FILES = 400 << 20, 5000, 2 << 30
 _RECORD, _PAGE = "certificate.json", "certificate.html"
 _KEYS = ("client", "operator", "form", "language")
 Short = Annotated[str, Field(max_length=2000)]
-# What was typed, by section and key.
-Particulars = dict[str, Short]
+
+
+class Typed(Table, strict=True):
+    """The form as it stands in the page: what was typed, by section and key, and the keys of the project."""
+
+    values: dict[str, Short]
+    client: Short = ""
+    operator: Short = ""
+    form: Form = ""
+    language: str = "en"
 
 
 def routes(desk: Desk) -> list[BaseRoute]:
@@ -158,8 +167,8 @@ def routes(desk: Desk) -> list[BaseRoute]:
 
     return [
         telling("/api/certificate", lambda: state(desk)),
-        doing("/api/certificate/set", calling(_set, desk)),
-        doing("/api/certificate/preview", calling(_preview, desk)),
+        doing("/api/certificate/set", lambda body: _set(desk, checked(Typed, body))),
+        doing("/api/certificate/preview", lambda body: _preview(desk, checked(Typed, body))),
         doing("/api/certificate/sign", calling(_sign, desk)),
         doing("/api/certificate/key", calling(_key, desk)),
         doing("/api/certificate/verify", lambda _: verified_folder(desk.project().output / "certificate")),
@@ -214,24 +223,17 @@ def _file(desk: Desk, project: Project) -> Path:
     return project.contents.certificate.particulars or desk.folder / NAME
 
 
-def _set(
-    desk: Desk,
-    values: Particulars,
-    client: Short = "",
-    operator: Short = "",
-    form: Form = "",
-    language: str = "en",
-) -> dict[str, Any]:
+def _set(desk: Desk, typed: Typed) -> dict[str, Any]:
     """Write the form into the particulars and the project."""
     with desk.lock:
         project = desk.project()
         path = _file(desk, project)
-        text = written(path, values)
+        text = written(path, typed.values)
         if text.strip() or path.is_file():
             write(path, text, _today())
             if project.contents.certificate.particulars is None:
                 project_file.put(desk.file, "certificate.particulars", NAME)
-        for key, value in zip(_KEYS, (client, operator, form, language), strict=True):
+        for key, value in typed.model_dump(include={*_KEYS}).items():
             if value != getattr(project.contents.certificate, key):
                 project_file.put(desk.file, f"certificate.{key}", value)
     return state(desk)
@@ -241,14 +243,7 @@ def _today() -> dt.date:
     return dt.datetime.now().astimezone().date()
 
 
-def _preview(
-    desk: Desk,
-    values: Particulars,
-    client: Short = "",
-    operator: Short = "",
-    form: Form = "",
-    language: str = "en",
-) -> dict[str, Any]:
+def _preview(desk: Desk, typed: Typed) -> dict[str, Any]:
     """Make the certificate of a form that is not kept yet, without writing anything of the project."""
     # What computes is loaded when it is needed: the window is there at once.
     from photocal.findings.document import html
@@ -259,21 +254,21 @@ def _preview(
     project = desk.project()
     work, key = made_in(project.output), own_key()
     run = _analysed(work / "analysis")
-    text = written(_file(desk, project), values)
+    text = written(_file(desk, project), typed.values)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / NAME
         path.write_text(text or "# nothing was typed\n", encoding="utf-8")
         given = read_particulars(
             path,
             _today(),
-            client=client,
-            operator=operator,
-            form=form,
+            client=typed.client,
+            operator=typed.operator,
+            form=typed.form,
             key="" if key is None else key.fingerprint,
             pictures=told_conditions(pictures(desk)),
             flown=read_json(work / "flown" / "flown.json"),
         )
-    document = certificate(run, given, catalogue(language), gather(work))
+    document = certificate(run, given, catalogue(typed.language), gather(work))
     desk.preview = html(document)
     return {"number": document.number}
 

@@ -150,7 +150,8 @@ def _refuse_system(crs: Any, path: Path) -> None:
     from pyproj import CRS
     from pyproj.exceptions import CRSError
 
-    if crs in ("local", ASKED):
+    # That it is missing is said of every field alike.
+    if crs in (None, "local", ASKED):
         return
     try:
         CRS.from_user_input(str(crs))
