@@ -25,6 +25,7 @@ from photocal.desk.session import Desk
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES, list_images
 from photocal.project import ASKED, NAME
+from photocal.run.stage import MEMORY
 
 # What `photocal new` has said, kept for a window that is opened again.
 _SAID = "new.json"
@@ -55,7 +56,7 @@ def folders(desk: Desk, path: str) -> dict[str, Any]:
     # A link may lead out: what it leads to is not shown.
     inside = [entry for entry in inner if entry.resolve().is_relative_to(desk.root)]
     # What a run has made is nobody's flight.
-    inside = [entry for entry in inside if not (entry / ".digests.json").exists()]
+    inside = [entry for entry in inside if not (entry / MEMORY).exists()]
     up = None if here == desk.root else desk.named(here.parent)
     return {
         "path": desk.named(here),
@@ -207,7 +208,7 @@ def systems(desk: Desk, text: str) -> dict[str, Any]:
     exact = _by_code(text)
     listed = [{"code": one.code, "name": one.name, "area": one.area} for one in found]
     listed = [*exact, *(one for one in listed if one["code"] not in {entry["code"] for entry in exact})]
-    return {"text": text, "systems": listed or [*_here(desk)]}
+    return {"text": text, "found": bool(listed), "systems": listed or [*_here(desk)]}
 
 
 def _by_code(text: str) -> list[dict[str, str]]:

@@ -15,6 +15,7 @@ from photocal.base.checked_toml import read_tables
 from photocal.base.errors import PhotocalError
 from photocal.base.web import POLICY, telling
 from photocal.desk.session import Desk
+from photocal.run.stage import MEMORY
 
 _DEPTH, _MOST = 3, 5000
 
@@ -94,7 +95,7 @@ def _files(folder: Path, depth: int) -> Iterator[Path]:
             continue
         if path.is_file():
             yield path
-        elif depth and path.is_dir() and not (path / ".digests.json").exists():
+        elif depth and path.is_dir() and not (path / MEMORY).exists():
             yield from _files(path, depth - 1)
 
 

@@ -7,11 +7,16 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from urllib.parse import quote, unquote
 
 from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import Response
 from starlette.routing import BaseRoute
+from starlette.types import ASGIApp, Receive, Scope, Send
 
-from photocal.base.errors import PhotocalError
+from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.base.web import calling, doing, folder_of, refusing, telling
 from photocal.desk import certificate, checks, folder, look, marking, record, running, tiles
 from photocal.desk.jobs import RUN
@@ -67,7 +72,8 @@ def _processed(desk: Desk, project: Project) -> dict[str, Stands]:
         signs = {"busy": "busy", "failed": "bad", "stopped": "warn"}
         steps["run"] = _as(signs[job], f"stands.{job}")
     elif "analysis" in made:
-        steps["run"] = _as("good", "stands.run")
+        changed = running.changed_since(desk, project)
+        steps["run"] = _as("warn", "stands.changed") if changed else _as("good", "stands.run")
     if issued is not None:
         signs = {"passed": "good", "note": "good", "doubtful": "warn"}
         look = signs.get(issued["verdict"]["severity"], "bad")
@@ -118,11 +124,39 @@ def marking_application(scene: Scene, store: MarkStore, cache: Path) -> Starlett
     )
 
 
+class _OneFolder:
+    """Refuses what a page asks for another folder than the one that is open: a second window opened that."""
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        reader: Desk | SimpleNamespace,
+        refuse: Callable[[Request, Exception], Response],
+    ) -> None:
+        self._app, self._reader, self._refuse = app, reader, refuse
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request that names no other folder."""
+        if scope["type"] == "http" and isinstance(self._reader, Desk):
+            request, desk = Request(scope), self._reader
+            meant = unquote(request.headers.get("photocal-folder", quote(desk.named(desk.folder))))
+            if meant != desk.named(desk.folder):
+                refusal = ConfigurationError(
+                    f"another window has opened the folder {desk.folder.name}: nothing was done",
+                    f"choose {meant} again, or reload the page to go on there",
+                )
+                await self._refuse(request, refusal)(scope, receive, send)
+                return
+        await self._app(scope, receive, send)
+
+
 def _served(
     told: Callable[[], dict[str, Any]], reader: Desk | SimpleNamespace, *answers: BaseRoute
 ) -> Starlette:
     """The page, its libraries, how it stands, and what answers it."""
+    refuse = refusing(lambda text: catalogue(reader.language).refused(text))
     return Starlette(
+        middleware=[Middleware(_OneFolder, reader, refuse)],
         routes=[
             *folder_of("photocal.desk", "page"),
             *folder_of("photocal.desk", "vendor", "/vendor/"),
@@ -130,7 +164,7 @@ def _served(
             doing("/api/language", calling(_speak, reader)),
             *answers,
         ],
-        exception_handlers={PhotocalError: refusing(lambda text: catalogue(reader.language).refused(text))},
+        exception_handlers={PhotocalError: refuse},
     )
 
 

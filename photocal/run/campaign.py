@@ -38,6 +38,7 @@ from photocal.run.output_place import check_output
 from photocal.run.ppk import ppk_stage
 from photocal.run.project_checks import check_project, explained
 from photocal.run.stage import (
+    MEMORY,
     AddedStage,
     Digests,
     Stage,
@@ -50,7 +51,6 @@ from photocal.run.stage import (
 )
 from photocal.run.summary import gather, kind, summary
 
-_MEMORY = ".digests.json"
 # In the work folder while a run works: how far it is.
 PROGRESS = "progress.json"
 # Of our stages, whether a project has them or not.
@@ -135,7 +135,7 @@ def run_project(
         expected(last, last, size), progress, seen_s=sum(last.values()), pieces=usual_pieces(size)
     )
     with alone(project.output), bar() as show, followed(course, into(project.output / PROGRESS), show):
-        digests = Digests(project.output / _MEMORY, again=rehash)
+        digests = Digests(project.output / MEMORY, again=rehash)
         due = foreseen(wanted, project.output, digests, again)
         course.revise({name: 0.0 for name in names if name not in due})
         if due:

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 # Smaller files are read each time: nothing deceives that, and it takes no time.
 _SMALL_BYTES = 1 << 22
+# Of a work folder: digests of files between runs, written when a run ends, however it ends.
+MEMORY = ".digests.json"
 # What a stage was made from and what it wrote.
 RECORD = "stage.json"
 _REMEDY = "choose another output in the project file"

@@ -9,6 +9,8 @@ const PLACES = [...STEPS, ...Object.keys(BESIDE)];
 const MODULES = Object.fromEntries(PLACES.map((name) => [name, `./steps/${name}.js`]));
 for (const name of ["look", "mark"]) MODULES[name] = `./${name}/${name}.js`;
 const LANGUAGES = ["en", "pt-BR"];
+// What concerns no folder, or opens one.
+const ANYWHERE = new Set(["/api/open", "/api/language"]);
 
 const texts = {};
 let language = chosenLanguage();
@@ -78,7 +80,9 @@ function contextOf(here) {
     bytes: (path) => kept(bytesOf(path)),
     /** Have the server do something; the answer as JSON. Throws Refusal. */
     post(path, value = {}) {
-      const asked = answered(fetch(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(value) }));
+      // What is meant for one folder is never done in another, which a second window may have opened.
+      const meant = ANYWHERE.has(path) || !state.folder ? {} : { "photocal-folder": encodeURIComponent(state.folder) };
+      const asked = answered(fetch(path, { method: "POST", headers: { "content-type": "application/json", ...meant }, body: JSON.stringify(value) }));
       // What was begun before one left changes how the steps stand all the same.
       asked.finally(() => here() || renew()).catch(() => {});
       return kept(asked);
@@ -114,8 +118,11 @@ function contextOf(here) {
 }
 
 async function renew() {
+  const before = state.folder;
   state = await answered(fetch("/api/desk"));
   rail();
+  // Another folder is open, here or by a second window: what is shown belongs to the one before.
+  if (shown.name && before !== state.folder) route(true);
   return state;
 }
 

@@ -4,6 +4,8 @@ import { fill, h, said, sign } from "../dom.js";
 
 const PREVIEW_MS = 700;
 const POLL_MS = 1000;
+// As long as the server takes a text.
+const LONGEST = 2000;
 
 export async function mount(element, context) {
   const { say } = context;
@@ -26,7 +28,8 @@ export async function mount(element, context) {
     try {
       return await promise;
     } catch (failure) {
-      fill(trouble, said("bad", failure.message));
+      fill(trouble, said("bad", labelled(failure.message)));
+      trouble.scrollIntoView({ block: "nearest" });
       return null;
     }
   }
@@ -39,10 +42,21 @@ export async function mount(element, context) {
 
   async function preview() {
     shown.textContent = say("certificate.preparing");
-    const answer = await act(context.post("/api/certificate/preview", values()));
-    if (!answer || gone) return;
-    shown.textContent = say("certificate.previewed", { number: answer.number });
-    frame.src = `/certificate/preview?${Date.now()}`;
+    try {
+      const answer = await context.post("/api/certificate/preview", values());
+      if (gone) return;
+      shown.textContent = say("certificate.previewed", { number: answer.number });
+      frame.src = `/certificate/preview?${Date.now()}`;
+    } catch (failure) {
+      // Beside the preview, which is in sight wherever the form is scrolled to.
+      fill(shown, said("bad", h("span", { role: "alert" }, labelled(failure.message))));
+    }
+  }
+
+  /** A message with the label of the field that it begins with, as it stands in the form. */
+  function labelled(message) {
+    const field = state.fields.find((one) => message.startsWith(`${one.key} `));
+    return field ? say(`particular.${field.key}`) + message.slice(field.key.length) : message;
   }
 
   function changed() {
@@ -53,8 +67,8 @@ export async function mount(element, context) {
   function drawForm() {
     const sections = [...new Set(state.fields.map((field) => field.section))];
     const entry = (field) => h("div.field", {}, h("label", { for: field.key }, say(`particular.${field.key}`)),
-      h("input", { id: field.key, "data-particular": field.key, value: field.value, type: field.kind === "date" ? "date" : "text", inputmode: field.kind === "number" ? "decimal" : null, placeholder: field.told, oninput: changed }));
-    const own = (name, label) => h("div.field", {}, h("label", { for: name }, label), h("input", { id: name, name, value: state[name], oninput: changed }));
+      h("input", { id: field.key, "data-particular": field.key, maxlength: LONGEST, value: field.value, type: field.kind === "date" ? "date" : "text", inputmode: field.kind === "number" ? "decimal" : null, placeholder: field.told, oninput: changed }));
+    const own = (name, label) => h("div.field", {}, h("label", { for: name }, label), h("input", { id: name, name, maxlength: LONGEST, value: state[name], oninput: changed }));
     fill(form,
       h("h2", {}, say("certificate.particulars")),
       h("p.hint", {}, say("certificate.told")),
@@ -88,26 +102,30 @@ export async function mount(element, context) {
   function signing(key) {
     if (state.issued.signed) return null;
     const word = h("input", { id: "passphrase", type: "password", autocomplete: "off" });
-    const go = h("button", { type: "button" }, say("certificate.sign"));
-    go.onclick = async () => {
+    const go = h("button", {}, say("certificate.sign"));
+    const send = async (event) => {
+      event.preventDefault();
       go.disabled = true;
       const answer = await act(context.post("/api/certificate/sign", { passphrase: word.value }));
       if (answer) take(answer, false);
       else go.disabled = false;
     };
-    return h("form", { onsubmit: (event) => event.preventDefault() }, h("p.hint", {}, say("certificate.key", { name: key.name }), " ", h("code", {}, key.fingerprint)),
+    return h("form", { onsubmit: send }, h("p.hint", {}, say("certificate.key", { name: key.name }), " ", h("code", {}, key.fingerprint)),
       h("p.row", {}, h("label", { for: "passphrase" }, say("certificate.passphrase")), word, go));
   }
 
   function making() {
-    const name = h("input", { id: "key-name", maxlength: 100 });
+    const name = h("input", { id: "key-name", maxlength: 100, required: true });
     const word = h("input", { id: "passphrase", type: "password", autocomplete: "new-password" });
-    const go = h("button", { type: "button" }, say("certificate.make-key"));
-    go.onclick = async () => {
+    const go = h("button", {}, say("certificate.make-key"));
+    const send = async (event) => {
+      event.preventDefault();
+      go.disabled = true;
       const answer = await act(context.post("/api/certificate/key", { name: name.value, passphrase: word.value }));
       if (answer) take(answer, false);
+      else go.disabled = false;
     };
-    return h("form", { onsubmit: (event) => event.preventDefault() }, h("p.hint", {}, say("certificate.no-key")),
+    return h("form", { onsubmit: send }, h("p.hint", {}, say("certificate.no-key")),
       h("p.row", {}, h("label", { for: "key-name" }, say("certificate.key-name")), name, h("label", { for: "passphrase" }, say("certificate.passphrase")), word, go));
   }
 

@@ -102,6 +102,8 @@ export async function mount(element, context) {
   }
 
   await step(context.get("/api/check"));
+  // What was checked in another language is checked again: nobody has asked for its words.
+  if (machine.hidden && context.state.steps.check?.word) inputs.querySelector("button").click();
   return {
     leave() {
       clearTimeout(timer);

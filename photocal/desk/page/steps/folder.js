@@ -28,9 +28,14 @@ export async function mount(element, context) {
     try {
       return await promise;
     } catch (failure) {
-      fill(trouble, said("bad", failure.message));
+      tell(failure.message);
       return null;
     }
+  }
+
+  function tell(text) {
+    fill(trouble, said("bad", text));
+    trouble.scrollIntoView({ block: "nearest" });
   }
 
   async function choose(path, browse = path) {
@@ -179,7 +184,7 @@ export async function mount(element, context) {
   }
 
   function text(field, id) {
-    return h("input", { id, value: field.value ?? "", onchange: (event) => set(field.key, event.target.value) });
+    return h("input", { id, maxlength: 300, value: field.value ?? "", onchange: (event) => set(field.key, event.target.value) });
   }
 
   function choice(field, id) {
@@ -193,7 +198,9 @@ export async function mount(element, context) {
     const inputs = values.map((value, k) => h("input", { id: k ? `${id}.${k}` : id, inputmode: "decimal", value, "aria-label": names[k], placeholder: names[k], onchange: send }));
     function send() {
       const numbers = inputs.map((input) => (input.value.trim() ? Number(input.value.replace(",", ".")) : NaN));
-      if (numbers.every(Number.isFinite)) set(field.key, numbers);
+      const wrong = inputs.find((input, k) => input.value.trim() && !Number.isFinite(numbers[k]));
+      if (wrong) tell(say("folder.no-number", { field: say(`field.${field.key}`), text: wrong.value }));
+      else if (numbers.every(Number.isFinite)) set(field.key, numbers);
     }
     return h("span.triple", {}, inputs);
   }
@@ -211,18 +218,20 @@ export async function mount(element, context) {
       const answer = await act(context.get(`/api/systems?text=${encodeURIComponent(input.value)}`));
       if (!answer || mine !== asked) return;
       offers.hidden = false;
-      const offer = (code, name, area) => h("li", {}, h("button.plain", { type: "button", onclick: () => set(field.key, code) }, h("b", {}, code), h("span", {}, name), h("span.quiet", {}, area)));
-      fill(offers, answer.systems.map((one) => offer(one.code, one.name, one.area)), offer("local", say("folder.local"), ""));
+      const offer = (code, name, area) => h("li", {}, h("button.plain", { type: "button", onclick: () => take(code) }, h("b", {}, code), h("span", {}, name), h("span.quiet", {}, area)));
+      fill(offers, !answer.found && input.value.trim() && h("li.quiet", { role: "status" }, say("folder.not-found", { text: input.value.trim() })), answer.systems.map((one) => offer(one.code, one.name, one.area)), offer("local", say("folder.local"), ""));
+    }
+    // What is searched still may not wipe away what is said of the choice.
+    function take(code) {
+      asked += 1;
+      set(field.key, code);
     }
     function keys(event) {
-      if (event.key === "Enter") {
-        asked += 1;
-        set(field.key, input.value.trim());
-      }
+      if (event.key === "Enter") take(input.value.trim());
       if (event.key === "ArrowDown") offers.querySelector("button")?.focus();
     }
     if (!field.value) search();
-    return h("span", {}, h("span.row", {}, input, h("button", { type: "button", onclick: () => set(field.key, input.value.trim()) }, say("folder.set"))), offers);
+    return h("span", {}, h("span.row", {}, input, h("button", { type: "button", onclick: () => take(input.value.trim()) }, say("folder.set"))), offers);
   }
 
   function height(field, id) {
