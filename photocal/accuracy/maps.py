@@ -9,15 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from photocal.accuracy.discrepancies import COMPONENTS, SIGN, Discrepancies
+from photocal.accuracy.discrepancies import COMPONENTS, Discrepancies
 from photocal.accuracy.statistics import moments, within_gsd
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_file
 from photocal.base.geopackage import LOCAL, Layer, ReferenceSystem, add_layer, geopackage
+from photocal.findings.digits import MINUS
+from photocal.findings.texts import Catalogue
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axes._secondary_axes import SecondaryAxis
     from matplotlib.figure import Figure
 
 
@@ -106,7 +109,21 @@ def draw_histogram(axes: Axes, values: Floats, face: str, colour: str) -> None:
         axes.plot(x, peak * np.exp(-0.5 * ((x - mean) / spread) ** 2), color=colour, linewidth=0.9)
 
 
-def residual_map(discrepancies: Discrepancies) -> Figure | None:
+def localised(ax: Axes | SecondaryAxis, mark: str) -> None:
+    """Write the numbers of both axes with the decimal mark of the language."""
+    from matplotlib.ticker import ScalarFormatter
+
+    class Localised(ScalarFormatter):
+        def __call__(self, value: float, pos: int | None = None) -> str:
+            return str(super().__call__(value, pos)).replace("-", MINUS).replace(".", mark)
+
+    for axis in (ax.xaxis, ax.yaxis):
+        plain = Localised(useOffset=False, useMathText=False)
+        plain.set_scientific(False)
+        axis.set_major_formatter(plain)
+
+
+def residual_map(discrepancies: Discrepancies, say: Catalogue) -> Figure | None:
     """Draw the planimetric discrepancies as vectors, the heights as numbers, at their points.
 
     returns: matplotlib.figure.Figure or None. None without positions or without planimetric discrepancies.
@@ -120,13 +137,22 @@ def residual_map(discrepancies: Discrepancies) -> Figure | None:
         return None
     names = tuple(name for name, has in zip(discrepancies.points, known.tolist(), strict=True) if has)
     figure, axes = _figure(_MAP_INCHES, (0.12, 0.08, 0.85, 0.84), "E (m)", "N (m)")
-    enlarge = draw_vectors(axes, names, table[known], "{:+.2f}".format, "{:g} m".format, _INK)
-    axes.ticklabel_format(style="plain", useOffset=False)
-    numbers = ", numbers: dh (m)" if np.isfinite(table[known][:, 4]).any() else ""
-    axes.set_title(
-        f"Discrepancies, {SIGN}\nvectors {enlarge:.3g} times enlarged{numbers}", fontsize=9, loc="left"
-    )
+    enlarge = draw_vectors(axes, names, table[known], _signed(say, 2), _length(say), _INK)
+    localised(axes, say.mark)
+    heights = np.isfinite(table[known][:, 4]).any()
+    title = say("discrepancies.vectors", factor=say.significant(enlarge, 3))
+    title += say("discrepancies.heights_beside") if heights else ""
+    axes.set_title(f"{say('discrepancies.title')}\n{title}", fontsize=9, loc="left")
     return figure
+
+
+def _signed(say: Catalogue, decimals: int) -> Callable[[float], str]:
+    """Numbers of the language, positive ones with their sign too."""
+    return lambda value: ("+" if value >= 0.0 else "") + say.fixed(value, decimals)
+
+
+def _length(say: Catalogue) -> Callable[[float], str]:
+    return lambda value: f"{say.as_given(value)} m"
 
 
 def _figure(
@@ -143,7 +169,7 @@ def _figure(
     return figure, axes
 
 
-def histograms(discrepancies: Discrepancies) -> Figure:
+def histograms(discrepancies: Discrepancies, say: Catalogue) -> Figure:
     """Draw a histogram of each component with its mean and the normal curve of its moments."""
     from matplotlib.figure import Figure
 
@@ -156,14 +182,16 @@ def histograms(discrepancies: Discrepancies) -> Figure:
         draw_histogram(axes, values, "#9db8d9", _INK)
         sample = moments(values)
         axes.set_xlabel(f"d{name} (m)")
-        axes.set_title(f"n {sample.n}, mean {sample.mean_m:+.3f}, RMSE {sample.rmse_m:.3f}", fontsize=7)
+        mean, rmse = _signed(say, 3)(sample.mean_m), say.fixed(sample.rmse_m, 3)
+        axes.set_title(say("discrepancies.moments", n=sample.n, mean=mean, rmse=rmse), fontsize=7)
         axes.tick_params(labelsize=7)
+        localised(axes, say.mark)
         if column == 0:
-            axes.set_ylabel("check points")
+            axes.set_ylabel(say("discrepancies.count"))
     return figure
 
 
-def heights_by_point(discrepancies: Discrepancies) -> Figure | None:
+def heights_by_point(discrepancies: Discrepancies, say: Catalogue) -> Figure | None:
     """Draw the discrepancies in height by point, with their mean, as figure 6 of Alves Junior et al. 2015.
 
     None without heights, and for more points than can be named.
@@ -176,13 +204,15 @@ def heights_by_point(discrepancies: Discrepancies) -> Figure | None:
     axes.bar(np.arange(len(values)), values, color="#9db8d9", edgecolor=_INK, linewidth=0.5)
     axes.axhline(0.0, color=_INK, linewidth=0.6)
     axes.axhline(float(values.mean()), color=_INK, linewidth=1.0, linestyle=(0, (4, 3)))
+    localised(axes, say.mark)
     axes.set_xticks(np.arange(len(values)), names, rotation=90, fontsize=6)
-    higher = f"{int(np.sum(values > 0.0))} of {len(values)} higher, mean {values.mean():+.3f} m"
-    axes.set_title(f"Heights, {SIGN}: {higher}", fontsize=8, loc="left")
+    higher, mean = int(np.sum(values > 0.0)), _signed(say, 3)(float(values.mean()))
+    title = say("discrepancies.heights", higher=higher, n=len(values), mean=mean)
+    axes.set_title(title, fontsize=8, loc="left")
     return figure
 
 
-def gsd_circles(discrepancies: Discrepancies, gsd_m: float | None) -> Figure | None:
+def gsd_circles(discrepancies: Discrepancies, gsd_m: float | None, say: Catalogue) -> Figure | None:
     """Draw planimetric discrepancies about one origin, in circles of one and two ground sampling distances.
 
     As figure 4 of Alves Junior et al. 2015; None without a ground sampling distance or such discrepancies.
@@ -196,13 +226,15 @@ def gsd_circles(discrepancies: Discrepancies, gsd_m: float | None) -> Figure | N
     for k, (count, colour) in enumerate(
         zip(within_gsd(length, gsd_m), ("#1f4e9c", "#b3261e"), strict=True), 1
     ):
-        text = f"{k} GSD ({k * gsd_m:.3g} m): {count} of {len(names)}"
+        size = say.significant(k * gsd_m, 3)
+        text = say("discrepancies.within", k=k, size=size, count=count, n=len(names))
         axes.plot(
             k * gsd_m * np.cos(angle), k * gsd_m * np.sin(angle), color=colour, linewidth=0.9, label=text
         )
     axes.set_aspect("equal", adjustable="datalim")
     axes.legend(fontsize=7, loc="upper right")
-    axes.set_title(f"Discrepancies, {SIGN}", fontsize=9, loc="left")
+    localised(axes, say.mark)
+    axes.set_title(say("discrepancies.title"), fontsize=9, loc="left")
     return figure
 
 
@@ -216,14 +248,14 @@ def save_figures(folder: Path, drawn: Mapping[str, Figure | None]) -> tuple[str,
 
 
 def check_figures(
-    discrepancies: Discrepancies, gsd_m: float | None, prefix: str = ""
+    discrepancies: Discrepancies, gsd_m: float | None, say: Catalogue, prefix: str = ""
 ) -> dict[str, Figure | None]:
     """Draw the figures of the report section, by the names of their files."""
     return {
-        f"{prefix}residual_map.pdf": residual_map(discrepancies),
-        f"{prefix}histograms.pdf": histograms(discrepancies),
-        f"{prefix}heights_by_point.pdf": heights_by_point(discrepancies),
-        f"{prefix}gsd_circles.pdf": gsd_circles(discrepancies, gsd_m),
+        f"{prefix}residual_map.pdf": residual_map(discrepancies, say),
+        f"{prefix}histograms.pdf": histograms(discrepancies, say),
+        f"{prefix}heights_by_point.pdf": heights_by_point(discrepancies, say),
+        f"{prefix}gsd_circles.pdf": gsd_circles(discrepancies, gsd_m, say),
     }
 
 

@@ -122,7 +122,7 @@ def judge_product(
         from photocal.base.files import output_folder
 
         with output_folder(maps.figures) as aside:
-            save_figures(aside, check_figures(result.discrepancies, question.gsd_m))
+            save_figures(aside, check_figures(result.discrepancies, question.gsd_m, told.say))
     if maps.geopackage is not None:
         from photocal.accuracy.maps import reference_system, write_geopackage
         from photocal.base.geopackage import changed_utc

@@ -326,12 +326,11 @@ def write_check(
     given, say: as of `sections`; English where no language is given.
     raises OutputError: when the folder cannot be written; nothing is then left half-written.
     """
+    words = say or catalogue("en")
     texts = {
         "ground_points.csv": _ground_points(content["methods"]),
         "images.csv": _images(check),
-        "report.md": markdown(
-            _TITLE.format(check.block.name), sections(check, say or catalogue("en"), given)
-        ),
+        "report.md": markdown(_TITLE.format(check.block.name), sections(check, words, given)),
     }
     if check.systematic is not None:
         texts["systematic_errors.csv"] = _systematic_csv(check.systematic)
@@ -349,7 +348,9 @@ def write_check(
             if not judged.check.names:
                 continue
             gsd = judged.assessment.question.gsd_m if judged.assessment else None
-            names += save_figures(aside, check_figures(judged.check.discrepancies(), gsd, f"{method}_"))
+            names += save_figures(
+                aside, check_figures(judged.check.discrepancies(), gsd, words, f"{method}_")
+            )
     return tuple(names)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from photocal.accuracy.maps import draw_histogram, draw_vectors
+from photocal.accuracy.maps import draw_histogram, draw_vectors, localised
 from photocal.base.arrays import Floats
 from photocal.findings.digits import MINUS, symbol
 from photocal.findings.texts import Catalogue
@@ -166,20 +166,6 @@ def _disc(ax: "Axes", x: float, y: float, r: float, *, clip: bool = True) -> Non
         return
     face, radius = INK if r > 0 else "white", 0.44 * float(np.sqrt(min(abs(r), 1.0)))
     ax.add_patch(Circle((x, y), radius, facecolor=face, edgecolor=INK, linewidth=0.8, clip_on=clip))
-
-
-def localised(ax: Any, mark: str) -> None:
-    """Write the numbers of both axes with the decimal mark of the language."""
-    from matplotlib.ticker import ScalarFormatter
-
-    class Localised(ScalarFormatter):
-        def __call__(self, value: float, pos: int | None = None) -> str:
-            return str(super().__call__(value, pos)).replace("-", MINUS).replace(".", mark)
-
-    for axis in (ax.xaxis, ax.yaxis):
-        plain = Localised(useOffset=False, useMathText=False)
-        plain.set_scientific(False)
-        axis.set_major_formatter(plain)
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from photocal.accuracy.output import to_json, to_text
 from photocal.accuracy.standard import SHIPPED, Question, ValueStandard, load_standard
 from photocal.base.errors import ConfigurationError
 from photocal.findings.finding import Finding
+from photocal.findings.texts import catalogue
 from tests.photocal.findings.english import english
 
 Published = Callable[[str], list[dict[str, str]]]
@@ -102,7 +103,7 @@ def test_points_within_the_circles_of_the_study(published: Published) -> None:
         assert result.plane.within_gsd == ((2, 4) if suffix == "gcp_m" else (0, 0))
     assert to_json(result)["planimetry"]["within_2_gsd"] == 4
     assert "in 2 GSD" in to_text(result)
-    figure = gsd_circles(result.discrepancies, 0.25)
+    figure = gsd_circles(result.discrepancies, 0.25, catalogue("en"))
     assert figure is not None
     radii = [np.hypot(*np.array(line.get_data())).max() for line in figure.axes[0].lines[1:]]
     assert radii == pytest.approx([0.25, 0.5])
