@@ -255,7 +255,7 @@ def verify(
         lambda: "\n".join(
             [
                 say("verified.certificate", number=printable(certified["number"])),
-                *(f"  {printable(line)}" for line in problems[:20]),
+                *(f"  {printable(say.stored(line))}" for line in problems[:20]),
                 say("verified.reproducible" if reproducible else "verified.not_reproducible"),
                 *([] if judged is None else [say("verified.judged", text=sentence)]),
                 *(f"  {printable(line)}" for line in untold),

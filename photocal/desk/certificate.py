@@ -163,7 +163,8 @@ def routes(desk: Desk) -> list[BaseRoute]:
         """Answer what another certificate is worth."""
         if request.headers.get("content-type") != "application/zip":
             raise ConfigurationError("is not a zip of a certificate", "drop the zip that was sent")
-        return JSONResponse(await run_in_threadpool(verify, await short_body(request, _LONGEST_ZIP)))
+        sent = await short_body(request, _LONGEST_ZIP)
+        return JSONResponse(await run_in_threadpool(verify, sent, desk.language))
 
     return [
         telling("/api/certificate", lambda: state(desk)),
@@ -171,7 +172,7 @@ def routes(desk: Desk) -> list[BaseRoute]:
         doing("/api/certificate/preview", lambda body: _preview(desk, checked(Typed, body))),
         doing("/api/certificate/sign", calling(_sign, desk)),
         doing("/api/certificate/key", calling(_key, desk)),
-        doing("/api/certificate/verify", lambda _: verified_folder(desk.project().output / "certificate")),
+        doing("/api/certificate/verify", lambda _: verified_folder(_place(desk), desk.language)),
         Route("/certificate/preview", framed),
         Route("/certificate/zip", packed),
         Route("/api/verify", verified, methods=["POST"]),
@@ -217,6 +218,10 @@ def issued_as(folder: Path, language: str = "en") -> dict[str, Any] | None:
     except (OSError, ValueError, LookupError, TypeError, PhotocalError):
         return None
     return {**named, "folder": str(folder), "signed": (folder / SIGNATURE).is_file()}
+
+
+def _place(desk: Desk) -> Path:
+    return desk.project().output / "certificate"
 
 
 def _file(desk: Desk, project: Project) -> Path:
@@ -289,7 +294,7 @@ def _run(folder: Path, _changed: int) -> "AnalysedRun":
 
 def issued(desk: Desk) -> str:
     """The certificate as it was issued last; raises InputNotFoundError without one."""
-    path = desk.project().output / "certificate" / _PAGE
+    path = _place(desk) / _PAGE
     if not path.is_file():
         raise InputNotFoundError("no certificate is issued yet", "run the project first", where=desk.folder)
     return path.read_text(encoding="utf-8")
@@ -297,7 +302,7 @@ def issued(desk: Desk) -> str:
 
 def _sign(desk: Desk, passphrase: Short = "") -> dict[str, Any]:
     # What is secret stands in no list of processes.
-    asked(["sign", desk.project().output / "certificate"], {"PHOTOCAL_PASSPHRASE": passphrase})
+    asked(["sign", _place(desk)], {"PHOTOCAL_PASSPHRASE": passphrase})
     return state(desk)
 
 
@@ -310,7 +315,7 @@ def _key(
 
 def pack(desk: Desk) -> tuple[Path, str]:
     """Pack the certificate as it lies there; gives a file that somebody must remove, and its name."""
-    folder = desk.project().output / "certificate"
+    folder = _place(desk)
     record = issued_as(folder)
     if record is None:
         raise InputNotFoundError("no certificate is issued yet", "run the project first", where=folder)
@@ -323,7 +328,7 @@ def pack(desk: Desk) -> tuple[Path, str]:
         return Path(file.name), f"certificate-{name}.zip"
 
 
-def verify(octets: bytes) -> dict[str, Any]:
+def verify(octets: bytes, language: str = "en") -> dict[str, Any]:
     """Unpack a certificate aside and verify it; nothing of it stays.
 
     raises InputMalformedError: for what is not a zip of a certificate, or unpacks to more than any is.
@@ -340,7 +345,7 @@ def verify(octets: bytes) -> dict[str, Any]:
         found = sorted(unpacked.rglob(_RECORD), key=lambda path: len(path.parts))
         if not found:
             raise InputMalformedError("has no certificate.json", "drop the zip of a certificate")
-        return verified_folder(found[0].parent)
+        return verified_folder(found[0].parent, language)
 
 
 def _unpack(packed: zipfile.ZipFile, folder: Path) -> None:
@@ -355,8 +360,8 @@ def _unpack(packed: zipfile.ZipFile, folder: Path) -> None:
         packed.extract(member, folder)
 
 
-def verified_folder(folder: Path) -> dict[str, Any]:
-    """What `photocal verify` says of a folder."""
-    told: Mapping[str, Any] = asked(["verify", folder])
+def verified_folder(folder: Path, language: str = "en") -> dict[str, Any]:
+    """What `photocal verify` says of a folder, its sentences in a language."""
+    told, say = asked(["verify", folder]), catalogue(language)
     keys = ("number", "verified", "reproducible", "authentic", "signature", "problems", "not_told", "verdict")
-    return {key: told.get(key) for key in keys}
+    return {key: told.get(key) for key in keys} | {"problems": [*map(say.stored, told["problems"])]}

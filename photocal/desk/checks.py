@@ -12,6 +12,7 @@ from photocal.base.files import write_file
 from photocal.base.web import calling, doing, telling
 from photocal.desk.jobs import DEBRIEF, FOLDER, RUN, asked
 from photocal.desk.project_file import with_field
+from photocal.desk.running import changed_since
 from photocal.desk.session import Desk
 from photocal.findings.texts import catalogue, finding_json, findings_of
 
@@ -34,6 +35,7 @@ def state(desk: Desk) -> dict[str, Any]:
     job = desk.job(DEBRIEF).state()
     return {
         "checked": desk.in_its_language(checked(desk)),
+        "changed": changed_since(desk, kept(desk)),
         "debrief": debrief(desk),
         "job": job,
         "running": desk.job(RUN).state()["state"] == "busy",
@@ -44,7 +46,12 @@ def state(desk: Desk) -> dict[str, Any]:
 
 def checked(desk: Desk) -> dict[str, Any] | None:
     """What the last check has found."""
-    return kept_json(desk.folder / FOLDER / _KEPT) or None
+    return kept_json(kept(desk)) or None
+
+
+def kept(desk: Desk) -> Path:
+    """File of the last check, there or not."""
+    return desk.folder / FOLDER / _KEPT
 
 
 def _doctor(desk: Desk) -> list[str | Path]:
@@ -68,7 +75,7 @@ def _check(desk: Desk) -> dict[str, Any]:
         content["problem"] = with_field(str(refusal).removeprefix(f"{desk.file}: "), desk.language)
     (desk.folder / FOLDER).mkdir(exist_ok=True)
     with desk.lock:
-        write_file(desk.folder / FOLDER / _KEPT, json.dumps(content))
+        write_file(kept(desk), json.dumps(content))
     return state(desk)
 
 

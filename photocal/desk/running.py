@@ -17,7 +17,7 @@ from photocal.desk.project_file import with_field
 from photocal.desk.session import Desk
 from photocal.project import Project
 from photocal.run.output_place import STAGES
-from photocal.run.stage import MEMORY, RECORD, made_in
+from photocal.run.stage import RECORD, made_in
 
 
 def routes(desk: Desk) -> list[BaseRoute]:
@@ -105,11 +105,8 @@ def made_stages(project: Project) -> list[str]:
     return [name for name in STAGES if (made_in(project.output) / name / RECORD).is_file()]
 
 
-def changed_since(desk: Desk, project: Project) -> bool:
-    """Whether what a person writes of the project is younger than the end of its last run."""
-    control, particulars = project.control, project.contents.certificate.particulars
-    written = [path for path in (desk.file, control.points, control.marks, particulars) if path is not None]
-    try:
-        return max(path.stat().st_mtime for path in written) > (project.output / MEMORY).stat().st_mtime
-    except OSError:
-        return False
+def changed_since(desk: Desk, done: Path) -> bool:
+    """Whether the project, or a table beside it, is younger than a file that tells what was made of them."""
+    files = [path for path in desk.folder.iterdir() if path.suffix in (".csv", ".toml")]
+    written = max((path.stat().st_mtime for path in files), default=0.0)
+    return done.is_file() and written > done.stat().st_mtime

@@ -10,6 +10,7 @@ from typing import Any
 from urllib.parse import quote, unquote
 
 from starlette.applications import Starlette
+from starlette.datastructures import Headers
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import Response
@@ -25,6 +26,7 @@ from photocal.findings.texts import catalogue
 from photocal.measurement.marking.service import MarkingService
 from photocal.measurement.marking.store import MarkStore, Scene
 from photocal.project import Project
+from photocal.run.stage import MEMORY
 
 Stands = dict[str, str]
 
@@ -54,6 +56,8 @@ def standing(desk: Desk) -> dict[str, Stands]:
     if checked is not None:
         bad = checked.get("problem") or any(one["state"] == "bad" for one in checked["machine"])
         steps["check"] = _as("bad", "stands.problem") if bad else _as("good", "stands.checked")
+        if running.changed_since(desk, checks.kept(desk)):
+            steps["check"] = _as("warn", "stands.changed")
     try:
         project = desk.project()
     except (PhotocalError, OSError) as refusal:
@@ -72,7 +76,7 @@ def _processed(desk: Desk, project: Project) -> dict[str, Stands]:
         signs = {"busy": "busy", "failed": "bad", "stopped": "warn"}
         steps["run"] = _as(signs[job], f"stands.{job}")
     elif "analysis" in made:
-        changed = running.changed_since(desk, project)
+        changed = running.changed_since(desk, project.output / MEMORY)
         steps["run"] = _as("warn", "stands.changed") if changed else _as("good", "stands.run")
     if issued is not None:
         signs = {"passed": "good", "note": "good", "doubtful": "warn"}
@@ -124,30 +128,26 @@ def marking_application(scene: Scene, store: MarkStore, cache: Path) -> Starlett
     )
 
 
-class _OneFolder:
-    """Refuses what a page asks for another folder than the one that is open: a second window opened that."""
+def _one_folder(app: ASGIApp, desk: Desk, refuse: Callable[[Request, Exception], Response]) -> ASGIApp:
+    """Refuse what a page asks for another folder than the one that is open: a second window opened that."""
 
-    def __init__(
-        self,
-        app: ASGIApp,
-        reader: Desk | SimpleNamespace,
-        refuse: Callable[[Request, Exception], Response],
-    ) -> None:
-        self._app, self._reader, self._refuse = app, reader, refuse
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request that names no other folder."""
-        if scope["type"] == "http" and isinstance(self._reader, Desk):
-            request, desk = Request(scope), self._reader
-            meant = unquote(request.headers.get("photocal-folder", quote(desk.named(desk.folder))))
-            if meant != desk.named(desk.folder):
-                refusal = ConfigurationError(
-                    f"another window has opened the folder {desk.folder.name}: nothing was done",
-                    f"choose {meant} again, or reload the page to go on there",
-                )
-                await self._refuse(request, refusal)(scope, receive, send)
-                return
-        await self._app(scope, receive, send)
+        here = desk.named(desk.folder)
+        meant = (
+            unquote(Headers(scope=scope).get("photocal-folder", quote(here)))
+            if scope["type"] == "http"
+            else here
+        )
+        if meant == here:
+            return await app(scope, receive, send)
+        refusal = ConfigurationError(
+            f"another window has opened the folder {desk.folder.name}: nothing was done",
+            f"choose {meant} again, or reload the page to go on there",
+        )
+        return await refuse(Request(scope), refusal)(scope, receive, send)
+
+    return answer
 
 
 def _served(
@@ -156,7 +156,7 @@ def _served(
     """The page, its libraries, how it stands, and what answers it."""
     refuse = refusing(lambda text: catalogue(reader.language).refused(text))
     return Starlette(
-        middleware=[Middleware(_OneFolder, reader, refuse)],
+        middleware=[Middleware(_one_folder, reader, refuse)] if isinstance(reader, Desk) else [],
         routes=[
             *folder_of("photocal.desk", "page"),
             *folder_of("photocal.desk", "vendor", "/vendor/"),

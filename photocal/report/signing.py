@@ -224,7 +224,7 @@ class Authenticity:
     def text(self, say: Catalogue) -> str:
         """Say it in a sentence: the key first, and the name between quotes."""
         signed = say("verified.signed", fingerprint=self.fingerprint, name=quoted(self.name))
-        reason = self.problems[0] if self.problems else say("verified.not_this")
+        reason = say.stored(self.problems[0]) if self.problems else say("verified.not_this")
         why = {"reason": reason, "day": self.last_day, "revoked": say.stored(str(self.revoked))}
         return say(f"verified.{self.trust}", signed=signed, **why)
 

@@ -88,6 +88,9 @@ class Digests:
 
     def keep(self) -> None:
         """Write the memory, where there is room: without it files are read again."""
+        # A project that was taken away in the middle of a run is not begun anew.
+        if not self._memory.parent.is_dir():
+            return
         with suppress(OutputError), output_file(self._memory) as aside:
             write_json(aside, self._known, None)
 

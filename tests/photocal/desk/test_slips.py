@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import time
 from collections.abc import Iterator
@@ -77,9 +78,9 @@ def test_what_is_meant_for_one_folder_is_not_done_in_another(
     expect(page.locator("#rail .title span")).to_have_text("second")
 
 
-def test_a_run_is_out_of_date_when_its_project_was_changed(served: Client, folder: Path) -> None:
-    def stands() -> dict[str, str]:
-        told: dict[str, str] = served.get("/api/desk").json["steps"]["run"]
+def test_what_was_done_before_a_change_of_the_project_is_out_of_date(served: Client, folder: Path) -> None:
+    def stands(step: str = "run") -> dict[str, str]:
+        told: dict[str, str] = served.get("/api/desk").json["steps"][step]
         return told
 
     later = time.time() + 60
@@ -87,6 +88,12 @@ def test_a_run_is_out_of_date_when_its_project_was_changed(served: Client, folde
     assert stands() == {"state": "good", "word": "stands.run"}
     os.utime(folder / "first" / "control.csv", (later + 60, later + 60))
     assert stands() == {"state": "warn", "word": "stands.changed"}
+    served.post("/api/check/start")
+    os.utime(folder / "first" / ".desk" / "check.json", (later + 120, later + 120))
+    assert stands("check")["word"] in ("stands.checked", "stands.problem")
+    os.utime(folder / "first" / "project.toml", (later + 180, later + 180))
+    assert stands("check") == {"state": "warn", "word": "stands.changed"}
+    assert served.get("/api/check").json["changed"]
 
 
 def test_a_system_that_is_not_found_or_not_given_is_said(page: Page, served: Client) -> None:
@@ -162,3 +169,24 @@ def test_a_check_is_made_again_in_the_language_that_was_chosen(page: Page, serve
     page.get_by_role("button", name="Português").click()
     expect(page.get_by_role("button", name="Conferir de novo")).to_be_visible()
     expect(page.locator("main")).to_contain_text("Máquina")
+
+
+def test_a_forged_certificate_is_told_in_the_language_of_the_window(served: Client, folder: Path) -> None:
+    certificate = folder / "first" / "work" / "certificate"
+    page = certificate / "certificate.html"
+    page.write_text(page.read_text(encoding="utf-8").replace("</body>", "Certified for all.</body>"), "utf-8")
+    served.post("/api/language", {"language": "pt-BR"})
+    told = served.post("/api/certificate/verify").json
+    assert not told["verified"]
+    assert told["problems"] == [
+        "certificate.html não é o que foi certificado",
+        "certificate.html não concorda com os valores",
+    ]
+
+
+def test_a_folder_that_was_taken_away_is_said_everywhere(page: Page, served: Client, folder: Path) -> None:
+    at(page, served, "run")
+    (folder / "first").rename(folder / "elsewhere")
+    for place in ("run", "look", "certificate"):
+        at(page, served, place)
+        expect(page.locator("main")).to_contain_text(re.compile("does not exist|has no project.toml"))

@@ -291,3 +291,9 @@ def test_content_decides_whatever_size_and_time_say(tmp_path: Path, monkeypatch:
     path.write_text("point 9.0", encoding="utf-8")
     os.utime(path, (1, 1))
     assert Digests(memory).of_file(path) not in ("remembered", digest)
+
+
+def test_a_work_folder_that_was_taken_away_stays_away(tmp_path: Path) -> None:
+    digests = Digests(tmp_path / "work" / ".digests.json")
+    digests.keep()
+    assert not (tmp_path / "work").exists()

@@ -55,7 +55,7 @@ export async function mount(element, context) {
 
   /** A message with the label of the field that it begins with, as it stands in the form. */
   function labelled(message) {
-    const field = state.fields.find((one) => message.startsWith(`${one.key} `));
+    const field = state?.fields.find((one) => message.startsWith(`${one.key} `));
     return field ? say(`particular.${field.key}`) + message.slice(field.key.length) : message;
   }
 
@@ -174,7 +174,7 @@ export async function mount(element, context) {
         fill(result, said(state,
           h("p", {}, h("b", {}, told.number)),
           h("p", {}, sign(told.reproducible ? "good" : "bad", say(told.reproducible ? "certificate.reproducible" : "certificate.not-reproducible"))),
-          h("p", {}, sign(told.authentic ? "good" : "warn", say(`trust.${told.signature.trust}`)), " ", told.signature.name, " ", h("code", {}, told.signature.fingerprint)),
+          h("p", {}, sign(told.authentic ? "good" : told.signature.trust === "forged" ? "bad" : "warn", say(`trust.${told.signature.trust}`)), " ", told.signature.name, " ", h("code", {}, told.signature.fingerprint)),
           h("ul", {}, (told.problems ?? []).slice(0, 20).map((line) => h("li", {}, line)))));
       } catch (failure) {
         fill(result, said("bad", failure.message));

@@ -38,6 +38,7 @@ export async function mount(element, context) {
     const anew = h("button", { type: "button", class: checked ? null : "main", onclick: () => { anew.disabled = true; anew.textContent = say("check.looking"); step(context.post("/api/check/start").finally(context.renew)); } }, say(checked ? "check.again" : "check.start"));
     fill(inputs, h("h2", {}, say("check.inputs")),
       !checked && h("p.quiet", {}, say("check.not-yet")),
+      checked && state.changed && said("warn", say("check.changed")),
       checked && !checked.problem && h("p", {}, sign("good", say("check.agree"))),
       checked?.problem && said("bad", h("p", {}, checked.problem.text), checked.problem.field && h("a.button", { href: `#/folder/${encodeURIComponent(checked.problem.field)}` }, say("run.mend"), " ", say(`field.${checked.problem.field}`))),
       h("p.buttons", {}, anew));
