@@ -13,7 +13,7 @@ import json
 import os
 import urllib.error
 import urllib.request
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -327,7 +327,7 @@ def authenticity(
         return Authenticity("forged", "?", "?", (f"{SIGNATURE} is not a signature ({broken})",))
     journal = content.get("journal")
     noted = journal if isinstance(journal, dict) else {}
-    problems = _wrong_in(content, key, named, folder) + _against(files, manifest(folder))
+    problems = [*_wrong_in(content, key, named, folder), *_against(files, manifest(folder))]
     said = Authenticity("forged", key.name, key.fingerprint, tuple(problems), noted)
     if problems:
         return said
@@ -382,13 +382,14 @@ def _wrong_in(content: dict[str, Any], key: Key, named: str, folder: Path) -> li
     return problems
 
 
-def _against(signed: Mapping[str, Any], there: Mapping[str, str]) -> list[str]:
-    return [
-        f"{name} was {'added' if name not in signed else 'removed' if name not in there else 'changed'} "
-        "after signing"
-        for name in sorted(signed.keys() | there.keys())
-        if signed.get(name) != there.get(name)
-    ]
+def _against(signed: Mapping[str, Any], there: Mapping[str, str]) -> Iterator[str]:
+    for name in sorted(signed.keys() | there.keys()):
+        if name not in signed:
+            yield f"{name} was added after signing"
+        elif name not in there:
+            yield f"{name} was removed after signing"
+        elif signed[name] != there[name]:
+            yield f"{name} was changed after signing"
 
 
 def _canonical(content: Mapping[str, Any]) -> bytes:
