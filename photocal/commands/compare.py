@@ -84,17 +84,17 @@ def compare(
         from photocal.analysis.stability.pictures import draw
 
         names = tuple(calibration.id for calibration in asked.calibrations)
-        draw(compared.pairs, names, how.thresholds_px, picture)
+        draw(compared.pairs, names, how.thresholds_px, picture, say)
     repeats = repeated(flights)
     heads = compared_heads({flight.name: flight.heads for flight in flights})
     if curves is not None:
         from photocal.analysis.stability.pictures import draw_curves
 
-        draw_curves(asked.calibrations, curves)
+        draw_curves(asked.calibrations, curves, say)
     if parameters is not None:
         from photocal.analysis.stability.pictures import draw_parameters
 
-        draw_parameters(asked.calibrations, compared.pairs, parameters)
+        draw_parameters(asked.calibrations, compared.pairs, parameters, say)
     uses: tuple[Use, ...] = ()
     if exchange:
         with progress("using each in each", len(flights) ** 2) as advance:

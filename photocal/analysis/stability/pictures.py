@@ -9,18 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from photocal.analysis.estimates import estimates_of, without
 from photocal.analysis.stability.comparison import CalibrationPair
 from photocal.base.arrays import Floats
 from photocal.base.files import output_picture
-from photocal.geometry.camera import Camera, pixel_to_plane
+from photocal.findings.texts import Catalogue
+from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.distortion import polynomial_distortion, radial_profile, radial_profile_sigma
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-from typing import TYPE_CHECKING
-
-from photocal.analysis.estimates import estimates_of, without
-from photocal.geometry.camera import PARAMETERS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,23 +43,23 @@ def displacements(camera: Camera, pixels: Floats) -> dict[str, Floats]:
     return shown
 
 
-def draw_curves(calibrations: tuple[Camera, ...], path: Path) -> None:
+def draw_curves(calibrations: tuple[Camera, ...], path: Path, say: Catalogue) -> None:
     """Draw the profiles of all calibrations, c, x0 and y0 over them, and vectors of the first and last."""
     with output_picture(path, (10.5, 9.5), font=10.0, dpi=130) as canvas:
         grid = canvas.add_gridspec(3, 12)
         radial, decentring = canvas.add_subplot(grid[0, :6]), canvas.add_subplot(grid[0, 6:])
         for k, calibration in enumerate(calibrations):
             _profiles(calibration, radial, decentring, _DASHES[k % len(_DASHES)])
-        radial.set_title("radial distortion", fontsize=9)
-        decentring.set_title("decentring distortion, largest at a radius (profile function)", fontsize=9)
+        radial.set_title(say("drawn.radial"), fontsize=9)
+        decentring.set_title(say("drawn.decentring"), fontsize=9)
         for axes in (radial, decentring):
-            axes.set_xlabel("distance from the principal point, px", fontsize=8)
+            axes.set_xlabel(say("drawn.radius"), fontsize=8)
             axes.set_ylabel("px", fontsize=8)
             axes.axhline(0.0, color="#8a8f94", linewidth=0.6)
             axes.tick_params(labelsize=7)
         radial.legend(fontsize=7, frameon=False)
         for k, name in enumerate(("c", "x0", "y0")):
-            _over_calibrations(calibrations, name, canvas.add_subplot(grid[1, 4 * k : 4 * k + 4]))
+            _over_calibrations(calibrations, name, canvas.add_subplot(grid[1, 4 * k : 4 * k + 4]), say)
         first, last = calibrations[0], calibrations[-1]
         width, height = first.size_px
         steps = (np.arange(_ACROSS) + 0.5) / _ACROSS
@@ -72,12 +67,12 @@ def draw_curves(calibrations: tuple[Camera, ...], path: Path) -> None:
         pixels = np.column_stack([m.ravel() for m in np.meshgrid(steps * width, rows * height)]) - 0.5
         fields = displacements(first, pixels)
         change = displacements(last, pixels)["total"] - fields["total"]
-        pictures = [(f"{name}, {first.id}", field) for name, field in fields.items()]
+        pictures = [(f"{say(f'drawn_of.{name}')}, {first.id}", field) for name, field in fields.items()]
         if len(calibrations) > 1:
-            pictures.append((f"total, {last.id} less {first.id}", change))
+            pictures.append((say("drawn.change", last=last.id, first=first.id), change))
         for k, (title, field) in enumerate(pictures):
             axes = canvas.add_subplot(grid[2, 3 * k : 3 * k + 3])
-            _vectors(axes, first, pixels, field, title)
+            _vectors(axes, first, pixels, field, title, say)
 
 
 def _profiles(camera: Camera, radial: "Axes", decentring: "Axes", dashes: object) -> None:
@@ -94,7 +89,7 @@ def _profiles(camera: Camera, radial: "Axes", decentring: "Axes", dashes: object
     decentring.plot(radius / pitch, largest / pitch, **style)  # type: ignore[arg-type]
 
 
-def _over_calibrations(calibrations: tuple[Camera, ...], name: str, axes: "Axes") -> None:
+def _over_calibrations(calibrations: tuple[Camera, ...], name: str, axes: "Axes", say: Catalogue) -> None:
     values, sigmas = [], []
     for camera in calibrations:
         pitch = float(np.mean(camera.pitch))
@@ -106,12 +101,12 @@ def _over_calibrations(calibrations: tuple[Camera, ...], name: str, axes: "Axes"
     axes.set_xticks(
         range(len(values)), [calibration.id for calibration in calibrations], rotation=45, fontsize=7
     )
-    axes.set_title(f"{name}, px, with its standard deviation", fontsize=9)
+    axes.set_title(say("drawn.with_sigma", name=name), fontsize=9)
     axes.ticklabel_format(axis="y", useOffset=False)
     axes.tick_params(axis="y", labelsize=7)
 
 
-def _vectors(axes: "Axes", camera: Camera, pixels: Floats, field: Floats, title: str) -> None:
+def _vectors(axes: "Axes", camera: Camera, pixels: Floats, field: Floats, title: str, say: Catalogue) -> None:
     width, height = camera.size_px
     longest = max(float(np.linalg.norm(field, axis=1).max()), 1e-12)
     enlarged = _LONGEST * width / longest
@@ -123,7 +118,7 @@ def _vectors(axes: "Axes", camera: Camera, pixels: Floats, field: Floats, title:
     axes.set_aspect("equal")
     axes.set_xticks([])
     axes.set_yticks([])
-    axes.set_title(f"{title}\nlongest {longest:.3g} px", fontsize=8)
+    axes.set_title(f"{title}\n{say('drawn.longest', size=say.significant(longest, 3))}", fontsize=8)
 
 
 def matrix_of(pairs: tuple[CalibrationPair, ...], names: tuple[str, ...], which: int) -> Floats:
@@ -136,7 +131,11 @@ def matrix_of(pairs: tuple[CalibrationPair, ...], names: tuple[str, ...], which:
 
 
 def draw(
-    pairs: tuple[CalibrationPair, ...], names: tuple[str, ...], thresholds_px: Sequence[float], path: Path
+    pairs: tuple[CalibrationPair, ...],
+    names: tuple[str, ...],
+    thresholds_px: Sequence[float],
+    path: Path,
+    say: Catalogue,
 ) -> None:
     """Draw the matrices of all methods, coloured by threshold.
 
@@ -160,19 +159,21 @@ def draw(
             shown = axes.imshow(matrix, cmap=colours, norm=norm)
             for i, j in zip(*np.nonzero(np.isfinite(matrix)), strict=True):
                 mark = "*" if of_pair[names[j], names[i]].figures[k].different else ""
-                axes.text(j, i, f"{matrix[i, j]:.2f}{mark}", ha="center", va="center", fontsize=7)
+                axes.text(j, i, f"{say.fixed(matrix[i, j], 2)}{mark}", ha="center", va="center", fontsize=7)
             axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
             axes.set_yticks(range(len(names)), names, fontsize=7)
-            axes.set_title(f"{kind.method}: {kind.definition}", fontsize=8)
+            axes.set_title(f"{kind.method}: {say.stored(kind.definition)}", fontsize=8)
         canvas.colorbar(shown, ax=canvas.axes, shrink=0.8, label="px").set_ticks(bounds[:-1])
-        canvas.suptitle("Difference of calibrations (* beyond the noise of both)", fontsize=9)
+        canvas.suptitle(say("drawn.difference"), fontsize=9)
 
 
 # The term whose part in the corrections is shown: the highest of the usual radial series.
 _DROPPED = "K3"
 
 
-def draw_parameters(calibrations: tuple[Camera, ...], pairs: tuple[CalibrationPair, ...], path: Path) -> None:
+def draw_parameters(
+    calibrations: tuple[Camera, ...], pairs: tuple[CalibrationPair, ...], path: Path, say: Catalogue
+) -> None:
     """Draw every estimated parameter with its standard deviation over the sets, and what they do.
 
     Besides: the principal points, radial profiles with K3 and without (the others following, as in an
@@ -185,12 +186,12 @@ def draw_parameters(calibrations: tuple[Camera, ...], pairs: tuple[CalibrationPa
         for k, name in enumerate(names):
             row, column = divmod(k, 4)
             _over_sets(calibrations, name, canvas.add_subplot(grid[row, 3 * column : 3 * column + 3]))
-        _principal_points(calibrations, canvas.add_subplot(grid[rows, :4]))
-        _radial(calibrations, canvas.add_subplot(grid[rows, 4:8]), dropped=False)
-        _radial(calibrations, canvas.add_subplot(grid[rows, 8:]), dropped=True)
-        _affinity(calibrations, canvas.add_subplot(grid[rows + 1, :6]))
-        _together(calibrations, canvas.add_subplot(grid[rows + 1, 6:]))
-        _bars(pairs, canvas.add_subplot(grid[rows + 2, :]))
+        _principal_points(calibrations, canvas.add_subplot(grid[rows, :4]), say)
+        _radial(calibrations, canvas.add_subplot(grid[rows, 4:8]), say, dropped=False)
+        _radial(calibrations, canvas.add_subplot(grid[rows, 8:]), say, dropped=True)
+        _affinity(calibrations, canvas.add_subplot(grid[rows + 1, :6]), say)
+        _together(calibrations, canvas.add_subplot(grid[rows + 1, 6:]), say)
+        _bars(pairs, canvas.add_subplot(grid[rows + 2, :]), say)
 
 
 def without_term(camera: Camera, term: str) -> Camera:
@@ -207,12 +208,12 @@ def _over_sets(calibrations: tuple[Camera, ...], name: str, axes: "Axes") -> Non
     sigmas = [camera.sigma_of(name) for camera in calibrations]
     axes.errorbar(range(len(values)), values, yerr=sigmas, fmt="o", color="#1a1a1a", markersize=3, capsize=2)
     axes.set_xticks(range(len(values)), [camera.id for camera in calibrations], fontsize=7)
-    length = name in ("c", "x0", "y0")
-    axes.set_title(f"{name}, {calibrations[0].unit}" if length else name, loc="left")
+    unit = f", {calibrations[0].unit}" if name in ("c", "x0", "y0") else ""
+    axes.set_title(name + unit, loc="left")
     axes.tick_params(axis="y", labelsize=6)
 
 
-def _principal_points(calibrations: tuple[Camera, ...], axes: "Axes") -> None:
+def _principal_points(calibrations: tuple[Camera, ...], axes: "Axes", say: Catalogue) -> None:
     for camera in calibrations:
         pitch = np.array(camera.pitch)
         x, y = camera.values[1:3] / pitch
@@ -221,7 +222,7 @@ def _principal_points(calibrations: tuple[Camera, ...], axes: "Axes") -> None:
         )
         axes.annotate(camera.id, (x, y), textcoords="offset points", xytext=(3, 3), fontsize=7)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_title("principal points, px", loc="left")
+    axes.set_title(say("drawn.principal_points"), loc="left")
 
 
 def _radius(camera: Camera) -> "np.ndarray[tuple[int], np.dtype[np.float64]]":
@@ -229,38 +230,42 @@ def _radius(camera: Camera) -> "np.ndarray[tuple[int], np.dtype[np.float64]]":
     return np.linspace(0.0, float(np.hypot(*half)), 120)
 
 
-def _radial(calibrations: tuple[Camera, ...], axes: "Axes", *, dropped: bool) -> None:
+def _radial(calibrations: tuple[Camera, ...], axes: "Axes", say: Catalogue, *, dropped: bool) -> None:
     for camera in calibrations:
         own = without_term(camera, _DROPPED) if dropped else camera
         radius, pitch = _radius(camera), float(np.mean(camera.pitch))
         axes.plot(radius / pitch, radial_profile(own, radius) / pitch, linewidth=1.0, label=camera.id)
-    axes.set_title(f"radial, px{f', without {_DROPPED}' if dropped else ''}", loc="left")
+    title = say("drawn.radial_without", term=_DROPPED) if dropped else say("drawn.radial_px")
+    axes.set_title(title, loc="left")
+    axes.set_xlabel(say("drawn.radius"))
     axes.legend(fontsize=6, frameon=False)
 
 
-def _affinity(calibrations: tuple[Camera, ...], axes: "Axes") -> None:
+def _affinity(calibrations: tuple[Camera, ...], axes: "Axes", say: Catalogue) -> None:
     for camera in calibrations:
         radius, pitch = _radius(camera), float(np.mean(camera.pitch))
         size = np.hypot(camera.value("B1"), camera.value("B2")) * radius
         axes.plot(radius / pitch, size / pitch, linewidth=1.0, label=camera.id)
-    axes.set_title("affinity, largest at a radius, px", loc="left")
+    axes.set_title(say("drawn.affinity"), loc="left")
+    axes.set_xlabel(say("drawn.radius"))
 
 
-def _together(calibrations: tuple[Camera, ...], axes: "Axes") -> None:
+def _together(calibrations: tuple[Camera, ...], axes: "Axes", say: Catalogue) -> None:
     for camera in calibrations:
         radius, pitch = _radius(camera), float(np.mean(camera.pitch))
         size = 3.0 * np.hypot(camera.value("P1"), camera.value("P2")) * radius**2
         axes.plot(radius / pitch, (np.abs(radial_profile(camera, radius)) + size) / pitch, linewidth=1.0)
-    axes.set_title("radial and decentring together, largest at a radius, px", loc="left")
+    axes.set_title(say("drawn.together"), loc="left")
+    axes.set_xlabel(say("drawn.radius"))
 
 
-def _bars(pairs: tuple[CalibrationPair, ...], axes: "Axes") -> None:
-    kinds = [f"{one.method}, {one.definition}" for one in pairs[0].figures]
+def _bars(pairs: tuple[CalibrationPair, ...], axes: "Axes", say: Catalogue) -> None:
+    kinds = [f"{one.method}, {say.stored(one.definition)}" for one in pairs[0].figures]
     width = 0.8 / len(kinds)
     for k, kind in enumerate(kinds):
         values = [pair.figures[k].value_px for pair in pairs]
         axes.bar(np.arange(len(pairs)) + k * width - 0.4, values, width, label=kind)
     axes.set_yscale("log")
     axes.set_xticks(range(len(pairs)), [f"{p.first}-{p.second}" for p in pairs], rotation=60, fontsize=7)
-    axes.set_title("pairs, px", loc="left")
+    axes.set_title(say("drawn.pairs"), loc="left")
     axes.legend(fontsize=6, ncols=4, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0))

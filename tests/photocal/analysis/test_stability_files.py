@@ -141,6 +141,19 @@ def test_the_command_answers_in_words(tmp_path: Path) -> None:
     assert "differ beyond their noise" in done.stdout
 
 
+def test_pictures_speak_the_language_of_the_reader(tmp_path: Path) -> None:
+    path, drawn = tmp_path / "cameras.toml", [tmp_path / f"{name}.svg" for name in ("a", "b", "c")]
+    path.write_text(GOOD.replace("351.0 }", "351.0 }\nsigma = { c = 0.5 }"), encoding="utf-8")
+    options = zip(("--picture", "--curves", "--parameters"), map(str, drawn), strict=True)
+    given = [word for pair in options for word in pair]
+    done = CliRunner().invoke(app, ["compare", str(path), *given, "--lang", "pt-BR"])
+    assert done.exit_code == 0, done.stderr
+    said = "\n".join(one.read_text(encoding="utf-8") for one in drawn)
+    for words in ("Diferença entre calibrações", "distorção radial", "pontos principais, px", "c, px"):
+        assert words in said
+    assert not any(words in said for words in ("calibrations", "distortion", "principal points", "longest"))
+
+
 def test_a_picture_of_unknown_kind_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "cameras.toml"
     path.write_text(GOOD)
