@@ -67,7 +67,8 @@ def draw_curves(calibrations: tuple[Camera, ...], path: Path, say: Catalogue) ->
         pixels = np.column_stack([m.ravel() for m in np.meshgrid(steps * width, rows * height)]) - 0.5
         fields = displacements(first, pixels)
         change = displacements(last, pixels)["total"] - fields["total"]
-        pictures = [(f"{say(f'drawn_of.{name}')}, {first.id}", field) for name, field in fields.items()]
+        named = {say(f"drawn_of.{name}"): field for name, field in fields.items()}
+        pictures = [(f"{name}, {first.id}", field) for name, field in named.items()]
         if len(calibrations) > 1:
             pictures.append((say("drawn.change", last=last.id, first=first.id), change))
         for k, (title, field) in enumerate(pictures):
