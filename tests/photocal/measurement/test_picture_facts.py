@@ -15,7 +15,7 @@ from photocal.findings.texts import catalogue
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, facts_of_tags, read_facts
 from photocal.measurement.image_metadata import image_of
 from photocal.measurement.picture_facts import FACTS, LONGEST, read_xmp
-from photocal.measurement.picture_tests import judge_pictures, told_beside, told_conditions
+from photocal.measurement.picture_tests import judge_pictures, laser_and_temperature, told_conditions
 
 # As a Matrice 4E writes it (tests of wakeup1230-droid/uav-photo-optimizer), and what its manual adds.
 M4E = """<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF><rdf:Description rdf:about="DJI Meta Data"
@@ -90,7 +90,7 @@ def test_a_thermal_camera_with_laser(shared: Path) -> None:
     # In nadir view height above the target and distance agree within 5 cm (README of the pictures).
     for image in own:
         assert image.altitude_m - image.laser_target[2] == pytest.approx(image.laser_m, abs=0.05)
-    (line,) = told_beside(own, catalogue("en"))
+    (line,) = laser_and_temperature(own, catalogue("en"))
     assert line.startswith("laser distances of 6 of 6 pictures: 69.2, ")
     assert line.endswith("flying height above take-off 95.0 m (median)")
 
