@@ -20,12 +20,15 @@ from photocal.findings.finding import FACTOR, Finding, Size
 from photocal.findings.texts import Catalogue, finding_json, plain, remedy_text, sentence, subject_text
 
 # May a block be mapped with, may a camera be carried to other flights. Not placed: the datum is inner
-# constraints. Held: nothing of the camera was estimated. On heights: c cannot be told from a shift of them.
-Answer = Literal["yes", "on-heights", "reserved", "no", "not-placed", "held", "unknown"]
+# constraints. Held: nothing of the camera was estimated. On positions: nothing else places the block, or
+# tests where it lies. On heights: c cannot be told from a shift of them.
+Answer = Literal["yes", "on-positions", "on-heights", "reserved", "no", "not-placed", "held", "unknown"]
 # Whoever reads more than that reads nothing; so many that are alike are one line, fewer each say their own.
 MOST_LINES, ALIKE = 7, 3
 # Causes that no camera can have estimated that was held because the block does not bear it.
 _ESTIMATED = ("principal-distance", "principal-point")
+# A block that positions alone place, and that nothing tests.
+_UNTESTED = {"no-control", "no-check-points"}
 # What the flight itself leaves open.
 _OPEN = ("not-separated", "not-determined")
 # What each method of georeferencing shows of one matter.
@@ -94,7 +97,7 @@ def judge(
     lines = _lines(by_methods(deciding), images)
     return Verdict(
         outcome,
-        _answer(deciding, _OF_CAMERA) if placed else "not-placed",
+        _of_block(deciding, listed) if placed else "not-placed",
         _of_camera(deciding, listed) if calibrated else "held",
         lines[:MOST_LINES],
         max(0, len(lines) - MOST_LINES),
@@ -153,6 +156,12 @@ def _answer(deciding: Sequence[Finding], elsewhere: frozenset[str]) -> Answer:
     if any(f.severity in ("refused", "grave") for f in bearing):
         return "no"
     return "reserved" if bearing else "yes"
+
+
+def _of_block(deciding: Sequence[Finding], listed: Iterable[Finding]) -> Answer:
+    """Whether the block may be mapped with: that positions alone place it, untested, is told."""
+    answer, codes = _answer(deciding, _OF_CAMERA), {finding.code for finding in listed}
+    return "on-positions" if answer == "yes" and codes >= _UNTESTED else answer
 
 
 def _of_camera(deciding: Sequence[Finding], listed: Iterable[Finding]) -> Answer:
@@ -228,7 +237,7 @@ def headline(verdict: Verdict, say: Catalogue) -> str:
     if remedy:
         answers.append(say("judgement.first", remedy=remedy))
     elif not verdict.lines:
-        answers.append(say("judgement.nothing"))
+        answers.append(say("judgement.prove" if verdict.block == "on-positions" else "judgement.nothing"))
     return " ".join(answers)
 
 

@@ -186,7 +186,7 @@ def _verdicts(
     tone: Tone = {"passed": "good", "doubtful": "note"}.get(final.severity, "bad")  # type: ignore[assignment]
     paragraph, *lines = verdict_text(given, say, "judgement.listed")
     # A block absorbs what its calibration takes elsewhere.
-    carried = final.code == "not-usable" and given.block in ("yes", "reserved")
+    carried = final.code == "not-usable" and given.block in ("yes", "on-positions", "reserved")
     title = say("verdict.not-carried") if carried else say(f"verdict.{final.code}")
     verdicts = [Statement(tone, title, paragraph, tuple(lines))]
     if run.result.checks.n == 0:

@@ -98,6 +98,20 @@ def test_a_camera_whose_c_the_heights_hold_is_not_carried_without_a_word(
     assert ("heights" in headline(verdict, EN)) == (answer == "on-heights")
 
 
+def test_a_block_on_positions_alone_is_not_called_tested() -> None:
+    notes = [Finding("no-control", "note"), Finding("no-check-points", "note")]
+    verdict = judge(notes)
+    assert (verdict.block, verdict.outcome.code) == ("on-positions", "usable")
+    assert "as accurately as its positions" in headline(verdict, EN)
+    assert "No action" not in headline(verdict, EN)
+    # Check points, or control, test where it lies; what is wrong is said before.
+    assert [judge([note]).block for note in notes] == ["yes", "yes"]
+    assert (
+        judge([*notes, Finding("check-mean", "doubtful", "indirect", {"method": "indirect"})]).block
+        == "reserved"
+    )
+
+
 def test_each_sentence_of_a_verdict_stands_once() -> None:
     worst = Finding("block-not-placed", "doubtful", clauses=())
     for findings in ([worst], [image("a.jpg", 1.6)], [worst, image("a.jpg", 1.6)]):
