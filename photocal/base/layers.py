@@ -8,6 +8,7 @@ import struct
 import warnings
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile, ZipFile
 
 import pyarrow as pa
 
@@ -37,6 +38,7 @@ def layers_of(path: Path) -> tuple[Path, ...]:
     """
     import pyogrio  # type: ignore[import-untyped]
 
+    _require_small(path)
     try:
         kinds = dict(pyogrio.list_layers(path).tolist())
     except (RuntimeError, ValueError) as failure:
@@ -64,6 +66,7 @@ def read_layer(path: Path) -> tuple[Any, int]:
     raises InputMalformedError: when it cannot be read, or has more rows than control has.
     """
     file = file_of(path)
+    _require_small(file)
     layer = None if file == path else path.name
     if file.suffix.lower() not in SHEETS:
         return _points(file, layer), 0
@@ -74,6 +77,22 @@ def read_layer(path: Path) -> tuple[Any, int]:
     named = [k for k, head in enumerate(heads) if head]
     columns = [pa.array([row[k] for row in body], pa.string()) for k in named]
     return pa.Table.from_arrays(columns, names=[heads[k] for k in named]), titles + 1
+
+
+def _require_small(file: Path) -> None:
+    """Refuse what is read whole before the first row is known, and has more than any list of control."""
+    most_mb = 64
+    kind, size = file.suffix.lower(), file.stat().st_size if file.is_file() else 0
+    if kind in SHEETS:
+        try:
+            with ZipFile(file) as packed:
+                size = sum(part.file_size for part in packed.infolist())
+        except (BadZipFile, OSError) as failure:
+            raise _unreadable(file) from failure
+    if kind in (*SHEETS, ".geojson") and size > most_mb * 1_000_000:
+        raise InputMalformedError(
+            f"has more than {most_mb} MB of rows", "export the control points alone", where=file
+        )
 
 
 def _titles(rows: list[list[str]]) -> int | None:

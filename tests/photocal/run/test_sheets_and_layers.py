@@ -175,10 +175,18 @@ def no_shape(at: Path) -> None:
     (at / "gcp.shx").unlink()
 
 
+def swollen(at: Path) -> None:
+    """A workbook of some kilobytes whose sheet unpacks to far more than any list of control."""
+    workbook(at / "p.xlsx", {"P": [HEADS, *ROWS]})
+    with zipfile.ZipFile(at / "p.xlsx", "a", zipfile.ZIP_DEFLATED) as packed:
+        packed.writestr("xl/worksheets/sheet9.xml", bytes(70_000_000))
+
+
 REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
     "no names": (lambda at: layer(at / "p.shp", PLACES, {"what": NAMES}), "names of the points"),
     "no heights": (lambda at: layer(at / "p.shp", [p[:2] for p in PLACES], {"nome": NAMES}), "no column Z"),
     "damaged": (lambda at: (at / "p.xlsx").write_bytes(b"PK\x03\x04" + bytes(99)), "that can be read"),
+    "swollen": (swollen, "more than 64 MB of rows"),
     "notes": (lambda at: workbook(at / "p.xlsx", {"P": [["feito por", "Ana"]]}), "has no table"),
     "a part": (no_shape, "copy all its files again"),
     "drawing": (lambda at: (at / "p.dxf").write_text("0\nEOF\n"), "export them as CSV with the columns name"),
