@@ -6,6 +6,7 @@ import datetime as dt
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from acquire.recording.configuration import read_configuration
@@ -68,6 +69,18 @@ def test_standards_are_read() -> None:
     # 1/50 inch at 1:24 000 is 40 feet on the ground; half of a contour interval of 10 m.
     assert plane.limits(24_000.0)[-1].pec_m == pytest.approx(40 * 0.3048, rel=1e-4)
     assert heights.limits(10.0)[0].pec_m == pytest.approx(5.0)
+
+
+def test_recommended_limits_of_inspire() -> None:
+    """Elevation, table 11: E / 10 000 and a sixth of the interval, which E / 1000 approximates."""
+    standard = load_standard(str(CONFIGS / "standards" / "inspire-elevation.toml"))
+    assert isinstance(standard, ScaleStandard)
+    plane, heights = standard.tables
+    assert plane.limits(5_000.0)[0].ep_m == pytest.approx(0.5)
+    assert heights.limits(5.0)[0].ep_m == pytest.approx(5 / 6)
+    # Radius of 90 % of a circular normal distribution, and half width of 90 % of a normal one.
+    assert plane.limits(5_000.0)[0].pec_m == pytest.approx(0.5 * np.sqrt(np.log(10)), rel=1e-4)
+    assert heights.limits(5.0)[0].pec_m == pytest.approx(5 / 6 * 1.644854, rel=1e-4)
 
 
 def test_particulars_and_studies_are_read() -> None:

@@ -41,11 +41,42 @@ def to_json(assessment: Assessment, say: Catalogue | None = None) -> dict[str, A
         "planimetry": _vector(assessment.plane, ce90_m="probable_m"),
         "height": _vector(assessment.height, le90_m="probable_m"),
         "space": _vector(assessment.space),
+        "iso_19157": quality_measures(assessment),
         "similarity_trend": trend
         and {**picked(trend, "shift_m", "scale", "rmse_left_m"), "rotation_mrad": trend.rotation_rad * 1e3},
         "standards": [*map(table_record, assessment.tables), *map(value_record, assessment.values)],
         "findings": [finding_json(finding, say or catalogue("en")) for finding in findings(assessment)],
     }
+
+
+def quality_measures(assessment: Assessment) -> list[dict[str, Any]]:
+    """Give the figures as measures of absolute positional accuracy, by their identifiers in ISO 19157.
+
+    In metres, with the sign of all figures; identifiers of Annex D (28, 35, 39, 44, 47, 128).
+    """
+    found = [
+        (number, name, component.name, figure)
+        for component in assessment.components
+        for number, name, figure in (
+            (128, "bias of positions", component.moments.mean_m),
+            (39, "root mean square error", component.moments.rmse_m),
+        )
+    ]
+    lengths = {"planimetry": assessment.plane, "height": assessment.height, "space": assessment.space}
+    for of, vector in lengths.items():
+        if vector is not None:
+            found.append((28, "mean value of positional uncertainties", of, vector.mean_m))
+    if assessment.plane is not None:
+        found.append((47, "root mean square error of planimetry", "planimetry", assessment.plane.rms_m))
+    for number, name, of in (
+        (44, "circular error at 90 %", "planimetry"),
+        (35, "linear error at 90 %", "height"),
+    ):
+        if (vector := lengths[of]) is not None and vector.probable_m is not None:
+            found.append((number, name, of, vector.probable_m))
+    return [
+        {"measure": number, "name": name, "of": of, "value_m": figure} for number, name, of, figure in found
+    ]
 
 
 def _component(component: ComponentResult) -> dict[str, Any]:

@@ -117,6 +117,21 @@ def test_interval_of_the_scale_is_taken_from_the_standard() -> None:
     assert of_table(result, "decree-89817", "height").decisions == ()
 
 
+def test_measures_of_iso_19157() -> None:
+    off = np.random.default_rng(4).normal((0.02, -0.01, 0.05), 0.03, (40, 3))
+    told = to_json(assess(Discrepancies(tuple(map(str, range(40))), off), STANDARDS, Question()))["iso_19157"]
+    measures = {(one["measure"], one["of"]): one["value_m"] for one in told}
+    plane, height = np.hypot(off[:, 0], off[:, 1]), off[:, 2]
+    assert measures[128, "N"] == pytest.approx(off[:, 1].mean())
+    assert measures[39, "h"] == pytest.approx(np.sqrt(np.mean(height**2)))
+    assert measures[47, "planimetry"] == pytest.approx(np.sqrt(np.mean(plane**2)))
+    assert measures[28, "planimetry"] == pytest.approx(plane.mean())
+    assert measures[28, "space"] == pytest.approx(np.linalg.norm(off, axis=1).mean())
+    assert measures[35, "height"] == pytest.approx(1.644854 * measures[39, "h"], rel=1e-5)
+    # Nine of ten points lie within the circle, but for chance.
+    assert np.mean(plane <= measures[44, "planimetry"]) == pytest.approx(0.9, abs=0.1)
+
+
 def test_asprs_class_includes_the_survey() -> None:
     standard = load_standard("asprs-2024")
     assert isinstance(standard, ValueStandard)
