@@ -307,7 +307,7 @@ class StreamFramer(Framer):
     def feed(self, data: bytes) -> Batch:
         """Take the next bytes of the stream and return the frames that are complete."""
         self._pending += data
-        # An incomplete frame is looked at again only when all that it asked for has come.
+        # An incomplete frame is examined again only when all that it needs has come.
         return self._take(closed=False) if len(self._pending) >= self._needed else self._batch()
 
     def _begun(self) -> bool:

@@ -66,7 +66,7 @@ def placed(boot_ns: Integers, stamps: list[tuple[Integers, Integers]]) -> tuple[
 def batch_of_rows(
     wire: Wire, data: bytes, base: int, rows: list[tuple[int, int, int]], damage: list[tuple[int, int]]
 ) -> Batch:
-    """Return start, length and kind of records as a batch; damage counts from the beginning of `data`."""
+    """Return start, length and kind of records as a batch; damage is measured from the start of `data`."""
     table = np.array(rows, np.int64).reshape(-1, 3)
     lost = np.array(damage, np.int64).reshape(-1, 2)
     lost[:, 0] += base

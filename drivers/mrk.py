@@ -67,7 +67,7 @@ def decode(batch: Batch) -> Records:
 
 
 def event_gps_ns(events: Records) -> Integers:
-    """Return GPS time of events, nanoseconds since its epoch; -1 where week or seconds cannot be meant."""
+    """Return GPS time of events, nanoseconds since its epoch; -1 where week or seconds are not valid."""
     week, seconds = events["week"], events["seconds_of_week_s"]
     sure = (week > 0) & (week < 1 << 16) & (seconds >= 0) & (seconds < 604_800)
     return np.where(sure, week_to_ns(np.where(sure, week, 0), np.where(sure, seconds, 0.0)), -1)

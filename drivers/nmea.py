@@ -36,7 +36,7 @@ def gga(
     satellites: int,
     dilution: float,
 ) -> bytes:
-    """Return the GGA sentence of a position; the undulation of the geoid is not told.
+    """Return the GGA sentence of a position, without the undulation of the geoid.
 
     time_utc_ns: UTC, nanoseconds since 1970.
     """

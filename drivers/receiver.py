@@ -22,10 +22,10 @@ class Fixes(Columns):
     index (n,): the frame of each in the batch.
     latitude_deg, longitude_deg, height_m (n,): height above the ellipsoid.
     horizontal_m, vertical_m, hdop, age_s (n,): as the receiver claims them; NaN where it claims none.
-    satellites (n,): number used; -1 where it is not told.
+    satellites (n,): number used; -1 where it is not stated.
     valid: whether there is a position.
     fix: names of the status channel, such as ``3d`` or ``rtk_fixed``.
-    geoid_m (n,): height above the ellipsoid less height above sea level; NaN where it is not told.
+    geoid_m (n,): height above the ellipsoid minus height above sea level; NaN where it is not stated.
     """
 
     index: Integers
@@ -84,7 +84,7 @@ class TimeMarks(Columns):
 
 
 class ReceiverProtocol:
-    """A protocol of GNSS receivers: a message that is not told of is kept raw and named all the same.
+    """A protocol of GNSS receivers: a message without a decoder is kept raw and named all the same.
 
     wire: its frames in a batch and in the flight log.
     name: what a person calls it.

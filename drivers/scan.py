@@ -160,7 +160,7 @@ def search_records(
     damage = np.empty((end // 8 + 2, 2), np.int64)
     count, runs, clean = 0, 0, 0
     while True:
-        # A record stands where the one before it has ended; only where none does, every byte is looked at.
+        # A record begins at the end of the one before; only where none does, every byte is examined.
         place = clean + STAMP_BYTES
         length, kind, known, stamp = _record(data, place, clean, closed, memory, ahead, running, tables)
         if length == 0:
@@ -483,7 +483,7 @@ def _record(
 
 
 def _stamp(data: Octets, at: int) -> int:
-    """Return the time in a stamp, microseconds since 1970; 0 when it cannot be meant."""
+    """Return the time in a stamp, microseconds since 1970; 0 when it is not valid."""
     stamp = 0
     for i in range(at, at + STAMP_BYTES):
         stamp = stamp << 8 | int(data[i])

@@ -77,7 +77,7 @@ __all__ = [
     "with_relations", "write_block", "write_cameras", "write_result",
 ]  # fmt: skip
 
-# What a calibration estimates unless it is told otherwise.
+# What a calibration estimates by default.
 USUAL = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
 
 

@@ -193,7 +193,7 @@ def _exposure(logged: Logged, edge: str) -> Decoded:
 
 
 def event_utc_ns(batch: Batch) -> Integers:
-    """Return UTC of each event of a list, nanoseconds since 1970; -1 where it is not told."""
+    """Return UTC of each event of a list, nanoseconds since 1970; -1 where it is unknown."""
     events = mrk.decode(batch)
     utc = np.full(len(batch), -1, np.int64)
     gps = mrk.event_gps_ns(events)

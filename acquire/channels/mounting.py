@@ -14,7 +14,7 @@ from photocal.base.sentences import Texts
 
 # Where the camera sits on the body no parameter tells: taken at its origin, give or take, per axis.
 CAMERA_PLACE_SIGMA_M = 0.1
-# How well a camera is screwed to the axes of the body, and a mount holds the angle it is told.
+# Alignment of a camera with the axes of the body, and of a mount with its commanded angle.
 MOUNT_SIGMA_DEG = 2.0
 _XYZ = ("X", "Y", "Z")
 
@@ -23,7 +23,7 @@ def _triple(stem: str) -> tuple[str, ...]:
     return tuple(stem + axis for axis in _XYZ)
 
 
-# What is told, its unit, and the parameters that tell it: of several ways the first that is there.
+# Each value, its unit and the parameters that contain it: of several sets the first one present.
 ANTENNA = "antenna 1"
 NEUTRAL = "camera mount, neutral (roll, pitch, yaw)"
 _VALUES: dict[str, tuple[str, tuple[tuple[str, ...], ...]]] = {

@@ -47,7 +47,7 @@ class ReceiverClock:
         self._near_ns = near_ns
 
     def feed(self, batch: Batch) -> Integers:
-        """Return the receiver's UTC for each frame, nanoseconds since 1970; -1 before it was told."""
+        """Return the receiver's UTC for each frame, nanoseconds since 1970; -1 until it is known."""
         index, time_ns = self._whole(batch)
         order = np.argsort(index, kind="stable")
         index, time_ns = self._credible(index[order], time_ns[order])

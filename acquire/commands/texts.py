@@ -27,7 +27,7 @@ def texts(language: str) -> Texts:
 def _shared(language: str) -> dict[str, str]:
     """What both programs refuse."""
     shared = read_texts("photocal.base", "refusals", language)
-    # Why a link is lost may be told by the system.
+    # The reason for a lost link may come from the operating system.
     of_system = {key: text for key, text in shared.items() if key.startswith("refusal.system.")}
     return shared | {key.replace("refusal", "stored", 1): text for key, text in of_system.items()}
 

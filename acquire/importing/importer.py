@@ -86,9 +86,9 @@ class RecordedBytes:
         self.cut = False
 
     def pieces(self) -> Iterator[bytes]:
-        """Yield the bytes from the beginning; a packed file that ends early sets `cut`.
+        """Yield the bytes from the beginning; a compressed file that ends early sets `cut`.
 
-        raises InputMalformedError: when a packed file is damaged inside.
+        raises InputMalformedError: when a compressed file is damaged inside.
         """
         self._raw.seek(0)
         if not self.packed:
@@ -112,7 +112,7 @@ class RecordedBytes:
                 yield piece
 
     def batches(self, framer: Framer, advance: Callable[[float], None] = lambda _: None) -> Iterator[Batch]:
-        """Yield the frames; `advance` is told how much more of the file was read, bytes."""
+        """Yield the frames; `advance` takes how much more of the file was read, bytes."""
         done = 0
         for piece in self.pieces():
             yield framer.feed(piece)
@@ -201,7 +201,7 @@ def derived(
 ) -> Timed:
     """Yield batches with the device's own UTC, since there is no time of receipt.
 
-    clock: gives UTC of the frames of a batch, -1 before it was told.
+    clock: gives UTC of the frames of a batch, -1 until it is known.
     restart: lets the clock begin anew with a time that is nearly known.
     """
 

@@ -54,8 +54,8 @@ def recover(path: Path, output: Path) -> dict[str, Any]:
 
     returns: `messages` and `chunks` of the repaired log, `had_its_end`, and `damaged`: what was passed over,
         in words.
-    raises InputNotFoundError, InputMalformedError: when the file is missing, is no flight log or holds
-        nothing that is whole.
+    raises InputNotFoundError, InputMalformedError: when the file is missing, is not a flight log or
+        holds nothing complete.
     raises OutputError: when the new log cannot be written.
     """
     reader = LogReader(path)

@@ -1,4 +1,4 @@
-"""Writing flight logs: blocks of messages at once, so that the speed does not hang on single messages."""
+"""Writing flight logs: messages in blocks, so that the speed does not depend on single messages."""
 
 import zlib
 from collections import Counter

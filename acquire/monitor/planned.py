@@ -88,7 +88,7 @@ def covered(pictures: Track, flown: Track, footprint: tuple[float, float]) -> Fl
     """
     if not len(pictures.points) or len(flown.points) < 2:
         return np.empty((0, 2))
-    # A course is told over so long: places of a single receiver are noisy.
+    # Time and distance for a course: positions of a single receiver are noisy.
     over_ns, least_m = 2_000_000_000, 2.0
     # Of the mean sphere: a footprint is known to some percent.
     metres_per_deg = 111_195.0

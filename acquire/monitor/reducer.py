@@ -67,7 +67,7 @@ def _read(
     handler: Callable[[RecordingState, LoggedMessages], RecordingState],
     part: LoggedMessages,
 ) -> RecordingState:
-    """Return the state after messages; those that are not what their schema says are told and passed over."""
+    """Return the state after messages; those that do not match their schema are reported and skipped."""
     try:
         return handler(state, part)
     except (LookupError, ValueError, TypeError, OverflowError):

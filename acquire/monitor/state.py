@@ -57,7 +57,7 @@ class CountedPictures:
 
 
 def triggered(counted: CountedPictures, trigger: Trigger) -> CountedPictures:
-    """Take note of a trigger; one that is told again counts once."""
+    """Take note of a trigger; one that is repeated counts once."""
     # What waits for an answer is kept up to this number.
     most_pending = 1000
     last = counted.last_trigger
@@ -106,7 +106,7 @@ def reported(
     passed = [trigger for trigger in counted.pending if trigger.number < wanted]
     return replace(
         counted,
-        # A picture whose trigger was not told was asked for all the same.
+        # A picture whose trigger was not reported was requested all the same.
         triggers=counted.triggers + len(skipped) + (wanted not in pending_numbers),
         feedbacks=counted.feedbacks + 1,
         pending=tuple(trigger for trigger in counted.pending if trigger.number > wanted),
@@ -159,7 +159,7 @@ class Track:
 
 def extended(track: Track, points: Floats, times_ns: Integers) -> Track:
     """Add points."""
-    metres_per_deg = 111_195.0  # mean sphere: only a threshold hangs on it
+    metres_per_deg = 111_195.0  # mean sphere: only a threshold depends on it
     if not len(points):
         return track
     # Points that lie closer to the last one show nothing new.
@@ -200,10 +200,10 @@ _HEARTBEAT, _POSITION = 0, 33
 class VehicleState:
     """The last that an autopilot told.
 
-    mode: its mode of flight, as ground stations call it; empty before it was told.
+    mode: its mode of flight, as ground stations call it; empty until it is known.
     armed, flown: whether its motors may turn, and whether they ever might.
     height_m: above the take-off.
-    speed_m_s, heading_deg: over ground, and where its nose points, from north by east; None where not told.
+    speed_m_s, heading_deg: over ground, and where its nose points, from north by east; None if unknown.
     time_ns: when it told its mode last, UTC.
     """
 
@@ -267,7 +267,7 @@ OF_FLIGHT = ("link", "fix", "corrections")
 
 @dataclass(frozen=True)
 class ShownAlarm:
-    """Something to be told.
+    """Something to be reported.
 
     number: counts all alarms of the recording.
     level: ``bad`` (act now), ``warn`` (look at it) or ``note``.
@@ -317,7 +317,7 @@ class ReceiverState:
     fix: as `acquire.channels.layouts.GNSS_STATUS` names it.
     satellites: number used; negative when unknown.
     expected: the best fix that it has had for a while: a lesser one is a loss.
-    starved: whether it was told that its corrections are too old.
+    starved: whether an alarm has reported that its corrections are too old.
     """
 
     link: str
@@ -333,7 +333,7 @@ class ReceiverState:
 
 @dataclass(frozen=True)
 class Battery:
-    """The battery of a vehicle: volts and percent, None when unknown, and when it was told, UTC."""
+    """The battery of a vehicle: volts and percent, None when unknown, and the time of its message, UTC."""
 
     voltage_v: float | None
     percent: int | None

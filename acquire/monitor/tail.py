@@ -118,7 +118,7 @@ class Tail:
         last_s = _written_s(before)
         # Files of one flight follow each other within this time, also when the recorder was started again.
         same_flight_s = 60.0
-        # A name has whole seconds; where the clock was set back meanwhile nothing tells how long it was.
+        # A name has whole seconds; where the clock was set back meanwhile the gap is unknown.
         apart_s = math.nan if last_s is None else _begun_s(path) - last_s
         return -1.0 <= apart_s <= same_flight_s and not has_end(before)
 
@@ -180,7 +180,7 @@ def tail_of(source: Path) -> Tail:
     raises InputNotFoundError: when it does not exist; the output folder of a configuration need not exist
         yet.
     raises InputMalformedError: when it is a file of another kind.
-    raises ConfigurationError: when the configuration cannot be meant.
+    raises ConfigurationError: when the configuration is not valid.
     """
     if source.is_dir():
         return Tail([source])

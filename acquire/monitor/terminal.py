@@ -118,7 +118,7 @@ _SIGNS = {"good": "✓", "warn": "▲", "bad": "✕", "off": "·", "note": "–"
 _STYLES = {"good": "bold green", "warn": "bold black on yellow", "bad": "bold white on red"}
 # What has been is quieter than what is.
 _PAST = {"warn": "yellow", "bad": "bold red"}
-# The map stands beside figures that have the width of a common window.
+# The map is to the right of the figures, which have the width of a common window.
 _FIGURES_WIDTH, _MAP_SHARE, _LEAST_MAP = 80, 0.27, 20
 # What a line of figures is made of: the name of a device, and what is said of it.
 _Line = tuple[str, list[Text]]

@@ -135,14 +135,14 @@ WORTH = {fix: worth for fix, (worth, _) in _FIXES.items()}
 NAMES = {fix: name for fix, (_, name) in _FIXES.items()}
 # A fix in space: with less nothing can be measured.
 LEAST_WORTH = WORTH["3d"]
-# A better fix is expected to stay only after it has stayed so long: one that flickers is told once.
+# A better fix is expected to stay only after this time, so one that flickers is reported once.
 STEADY_NS = 5 * SECOND_NS
 # u-blox receivers give corrections up after 60 s (CFG-NAVSPG-CONSTR_DGNSSTO): half of it is time to act.
 OLD_CORRECTION_S, DEAD_CORRECTION_S = 5.0, 30.0
 
 
 def number(row: Mapping[str, Any], name: str) -> float | None:
-    """Return a number of a message; None when it is not told or infinite.
+    """Return a number of a message; None when it is missing or infinite.
 
     raises ValueError, TypeError: when it is none.
     """
@@ -153,7 +153,7 @@ def number(row: Mapping[str, Any], name: str) -> float | None:
 def receiver_after(
     before: ReceiverState | None, row: Mapping[str, Any], time_ns: int
 ) -> tuple[ReceiverState, list[tuple[str, str]]]:
-    """Return a receiver after a message, and level and words of what is to be told."""
+    """Return a receiver after a message, and level and words of what is to be reported."""
     fix = row["fix"]
     same = before is not None and before.fix == fix
     now = ReceiverState(
@@ -187,7 +187,7 @@ def correction_age_s(receiver: ReceiverState, link: LinkState, now_ns: int) -> f
 
 
 def fed(receiver: ReceiverState, age_s: float | None) -> tuple[ReceiverState, list[tuple[str, str]]]:
-    """Return a receiver whose corrections have an age, and level and words of what is to be told."""
+    """Return a receiver whose corrections have an age, and level and words of what is to be reported."""
     if age_s is None:
         return receiver, []
     if not receiver.starved and age_s > DEAD_CORRECTION_S:

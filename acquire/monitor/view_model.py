@@ -37,7 +37,7 @@ class MapLayer:
     kind: ``track``, ``picture``, ``missed``, ``station``, ``plan`` or ``coverage``: four corners a picture.
     points (n, 2): latitude and longitude, degrees.
     edition: as long as it stays, points were only added.
-    labels: what stands beside the points; empty for nothing.
+    labels: of the points; empty for none.
     """
 
     kind: str
@@ -166,7 +166,7 @@ class PageView:
         return Word("landed, all is well" if self.landed else "recording, all is well", "good")
 
     def _in_flight(self) -> list[tuple[str, Word]]:
-        """What nobody need be told any more when the crew has landed and switches off."""
+        """States that no longer matter once the crew has landed and switches off."""
         states = [(row["name"], row["state"]) for row in self.links]
         states += [(row["name"], row[word]) for word in ("fix", "correction") for row in self.receivers]
         states += [(row["link"], row["state"]) for row in self.batteries]
@@ -335,7 +335,7 @@ def _mode(vehicle: VehicleState, now_ns: int) -> Word:
 
 
 def _unless_stale(word: Word, told_ns: int, now_ns: int) -> Word:
-    """What was told too long ago is not known any more, however good it was."""
+    """A value that was received too long ago is no longer known, however good it was."""
     silent_s = _seconds(now_ns - told_ns)
     return Word(f"{word.text}, last heard {silent_s:.0f} s ago", "bad") if silent_s > _STALE_S else word
 

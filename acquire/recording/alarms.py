@@ -57,12 +57,12 @@ class _Alike:
 
 @dataclass
 class AlarmLimit:
-    """Keeps alarms of one kind and link to a rate: of those above it the last is told, with their number."""
+    """Limits the rate of alarms of one kind and link: of those above it, reports the last and a count."""
 
     _alike: dict[tuple[str, str], _Alike] = field(default_factory=dict)
 
     def take(self, alarms: Sequence[Alarm], steady_s: float) -> list[Alarm]:
-        """Return those of some alarms that are told now."""
+        """Return those of some alarms that are reported now."""
         told = self.look(steady_s)
         for alarm in alarms:
             alike = self._alike.setdefault((alarm.kind, alarm.link), _Alike(steady_s))
@@ -90,7 +90,7 @@ class AlarmLimit:
 
 @dataclass
 class RecordingWatch:
-    """Watches links and the clock of the host; everything is told once, as long as it lasts.
+    """Watches links and the clock of the host; each fault is reported once, as long as it lasts.
 
     limits_s: the longest silence of each link, seconds.
     start_s: when the watch begins, seconds of a steady clock.

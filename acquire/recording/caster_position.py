@@ -25,7 +25,7 @@ Sentence = Callable[[int], bytes]
 
 @dataclass
 class CasterPosition:
-    """Keeps the last position of a link, or the one that was given, and tells when a caster is to be told it.
+    """Keeps the last position of a link, or the one that was given, and tells when to send it to a caster.
 
     dialect: the known MAVLink messages.
     every_s: time between sentences, seconds.
@@ -102,7 +102,7 @@ class CasterPosition:
 
 
 def caster_positions(configuration: RecordingConfiguration, dialect: Dialect) -> dict[str, CasterPosition]:
-    """Return what the casters of a recording are told, by their links."""
+    """Return the positions for the casters of a recording, by their links."""
     return {
         link.name: CasterPosition(dialect, link.position_every_s, link.position)
         for link in configuration.link

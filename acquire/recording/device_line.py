@@ -135,7 +135,7 @@ class DeviceLine:
     ) -> None:
         # Messages that wait for the thread of this link.
         most_turns = 64
-        # Where this link's device is told to be, and who wants to know where this link's device is.
+        # The position sent to this link's device, and those that need the position of this link's device.
         self.position: CasterPosition | None = None
         self.asked_for_position: list[CasterPosition] = []
         # Frames that were not even put in.
@@ -181,7 +181,7 @@ class DeviceLine:
         return [self._sent.popleft() for _ in range(len(self._sent))]
 
     def alarms(self, steady_s: float) -> list[Alarm]:
-        """Return what is to be told since the last call; at an infinite time the last figures, too."""
+        """Return the alarms since the last call; at an infinite time the last figures, too."""
         # What was dropped is said this often at the most.
         told_every_s = 10.0
         said = [self._said.popleft() for _ in range(len(self._said))]
@@ -233,7 +233,7 @@ class DeviceLine:
         try:
             self._source.write(frame)
         except NobodyThereError:
-            # A port that is gone is told by who reads it.
+            # The reader of the port reports that it is gone.
             return
         self._sent.append((self._clock_ns(), encoding, frame))
 

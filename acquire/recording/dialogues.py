@@ -217,7 +217,7 @@ class VehicleDialogue:
         return [self.frame("COMMAND_LONG", values)]
 
     def _read_parameters(self, batch: Batch | None, steady_s: float, notes: list[str]) -> list[bytes]:
-        """Ask for the next parameter that was not told yet."""
+        """Ask for the next parameter that was not received yet."""
         if batch is not None:
             answers = decode(batch, self._dialect.number("PARAM_VALUE"), self._dialect)
             self._read |= {name.decode("latin-1") for name in answers.fields["param_id"].tolist()}

@@ -55,7 +55,7 @@ def worth(channel: Channel) -> str:
 # What is held in memory while no disk takes anything (no more than a quarter of what is free), and how often
 # it is tried again.
 HELD_BYTES = 256 << 20
-# A flush that takes longer than this is told; after the second time recording goes on in the next folder.
+# A flush longer than the first is reported; after the second, recording continues in the next folder.
 SLOW_S, HUNG_S, SLOW_TOLD_S = 1.0, 8.0, 10.0
 # How long a stop waits for a disk, and for one that was left because it fails or hangs.
 LAST_FLUSH_S, GIVE_UP_S = 60.0, 1.0
@@ -69,7 +69,7 @@ class LogFiles:
 
     What the disk has not confirmed is kept in memory: where a flush fails it is written again, elsewhere.
     A file that is deleted while it is written is copied back from what the system still has of it; one that
-    is moved is left where it is. Either way recording goes on in the next file.
+    is moved is left where it is. Either way recording continues in the next file.
 
     begin: writes to each file what stands at its beginning.
     most_bytes, most_s: size and age at which a file is ended and the next begun; 0 for never.

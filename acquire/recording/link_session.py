@@ -86,7 +86,7 @@ class LinkSession:
     ) -> None:
         self.name = link.name
         self.device = device
-        # The failures of the decoder; the first one is told.
+        # The failures of the decoder; the first one is reported.
         self._failures: list[str] = []
         self._failed = False
         self.log = LinkLog(write, link.name, [decoder_of(link, dialect, self._failures.append)])

@@ -72,7 +72,7 @@ class WholeWrites(io.RawIOBase):
         except FileNotFoundError:
             return False
         except OSError:
-            # Whether it is there cannot be known; that it cannot be written any more will be told.
+            # Whether it is there is unknown; if it cannot be written any more, the next write reports it.
             return True
 
     def _same(self) -> bool:

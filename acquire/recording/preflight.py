@@ -76,7 +76,7 @@ def check(
         stop.wait(0.02)
     stop.set()
     left_behind(readers, 0.5)
-    # A port may take a while to open: rates count from the first byte, but over half of the time at least.
+    # A port may take a while to open: rates are measured from the first byte, over at least half of the time.
     checks = [
         seen
         for link in configuration.link

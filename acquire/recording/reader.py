@@ -34,7 +34,7 @@ class Arrival:
 
 
 class Inbox:
-    """What has arrived over a link and waits for being framed; it is kept to a rate and to a size.
+    """What has arrived over a link and waits for being framed; it is limited in rate and size.
 
     `slowed` tells whether more came than is taken: the sender of a stream had to wait, of datagrams `missed`
     counts those that the system could not hold. Where it does not count them they are read all the same and
@@ -111,7 +111,7 @@ class Moves:
         self._due_s = -math.inf
 
     def look(self, peer: str, steady_s: float) -> None:
-        """Take note of who has sent last; at an infinite time the rest is told."""
+        """Take note of who has sent last; at an infinite time the rest is reported."""
         if peer != self._peer:
             if self._peer:
                 self._count += 1
@@ -120,7 +120,7 @@ class Moves:
         if self._count and steady_s >= self._due_s:
             times = f" ({self._count} times: do several senders share the port?)" if self._count > 1 else ""
             self._inbox.tell("source_changed", self._text + times)
-            # Senders that take turns at a port are told so often, with how often they did.
+            # Senders that take turns at a port are reported at this interval, with the number of changes.
             moves_told_s = 10.0
             self._count, self._due_s = 0, steady_s + moves_told_s
 

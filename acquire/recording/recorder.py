@@ -84,7 +84,7 @@ def record(
     tell: takes lines for a person, in a thread of its own: it may wait or fail, recording goes on.
 
     raises OutputError: when the log cannot be written (any more); what was written before stays.
-    raises ConfigurationError: when an address cannot be meant.
+    raises ConfigurationError: when an address is not valid.
     raises InputNotFoundError: when a file to be attached cannot be read.
     """
     # Where nothing waits, bytes gather for this long: fewer, larger writes.
@@ -171,9 +171,9 @@ def source_of_link(
 def sources_of(
     configuration: RecordingConfiguration, positions: dict[str, CasterPosition], clock_ns: Callable[[], int]
 ) -> dict[str, Source]:
-    """Return the sources of all links; casters are told their positions with the request.
+    """Return the sources of all links; the request to a caster contains its position.
 
-    raises ConfigurationError: when an address cannot be meant or a password is missing.
+    raises ConfigurationError: when an address is not valid or a password is missing.
     """
     sentences = {name: position.now(clock_ns) for name, position in positions.items()}
     return {link.name: source_of_link(link, position=sentences.get(link.name)) for link in configuration.link}
@@ -247,7 +247,7 @@ class _Flight:
             self._raise(session.device.alarms(math.inf))
         self._keep(inboxes)
         self._raise([], last=True)
-        # The log is closed by then: these are told, and kept for the figures.
+        # The log is closed by then: these are reported, and kept for the figures.
         notices = self._files.close()
         ended = [Alarm(kind, "", text, self._host.clock_ns()) for kind, text in notices]
         for alarm in ended:

@@ -88,11 +88,11 @@ def on_pty(device: Device) -> Iterator[str]:
 @contextmanager
 def on_tcp(device: Device) -> Iterator[int]:
     """Let a device speak to whoever connects, one after the other; yields the port."""
-    # A connection is told to the device as bytes of no length.
+    # The device gets an empty byte string for each new connection.
     server = socket.create_server((HOST, 0))
 
     def run(stop: threading.Event, start: float) -> None:
-        """Let the device speak until it is told to stop."""
+        """Let the device speak until `stop` is set."""
         server.settimeout(0.1)
         while not stop.is_set():
             with contextlib.suppress(OSError):
@@ -128,7 +128,7 @@ def _serving(
     send: Callable[[bytes, threading.Event], None],
 ) -> Iterator[None]:
     def run(stop: threading.Event, start: float) -> None:
-        """Let the device speak until it is told to stop."""
+        """Let the device speak until `stop` is set."""
         while not stop.is_set():
             ready, _, _ = select.select([descriptor], [], [], _TICK_S)
             now = time.monotonic() - start

@@ -71,7 +71,7 @@ class NtripSource(TcpSource):
 
     user, password: as the caster knows us; empty for open streams. They appear in no message.
     context: whom to trust; otherwise the authorities that the system trusts.
-    position: gives the GGA sentence that the caster is told when the stream is asked for; empty while none is
+    position: gives the GGA sentence that the caster gets when the stream is asked for; empty while none is
         known. Version 2 takes it in the request (``Ntrip-GGA``), version 1 as the first line after that.
     """
 

@@ -95,7 +95,7 @@ class UdpSink:
 
 
 class _TcpSink:
-    """A stream to the one reader that connects, for whom the first frame waits."""
+    """A stream to the one reader that connects; the first frame waits for that."""
 
     lost = 0
 
@@ -143,7 +143,7 @@ class _PtySink:
 def open_sink(url: str) -> Iterator[tuple[Sink, str]]:
     """Open where a stream is to be sent.
 
-    raises ConfigurationError: when the address cannot be meant.
+    raises ConfigurationError: when the address is not valid.
     raises DeviceError: when it cannot be opened, or no reader comes.
     """
     if url == "pty":

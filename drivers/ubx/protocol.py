@@ -54,7 +54,7 @@ def _pvt(batch: Batch) -> Fixes:
         messages.index,
         **_place(f),
         satellites=f["numSV"].astype(np.int64),
-        # JSON knows no infinity: what is 120 s old or older is told as 120 s.
+        # JSON has no infinity: an age of 120 s or more is reported as 120 s.
         age_s=np.minimum(ubx.correction_age_s(f), 120.0),
         valid=(f["flags"] & 1) != 0,
         fix=fix,

@@ -158,7 +158,7 @@ CODE = "laser-heights"
 # A rangefinder of DJI is good to 0.2 m and 0.15 % of the distance (Zenmuse H20 series, data sheet): taken for
 # three sigmas, and as if all its distances had the error in common.
 LASER_M, LASER_SHARE = 0.2 / 3, 0.0015 / 3
-# A surface is told by so many of its points, the nearest of them within this share of the distance.
+# A surface is fitted to this many points, the nearest of them within this share of the distance.
 NEIGHBOURS, DENSE = 8, 0.05
 # A surface of tie points is no better than this, m; with fewer shots nothing is said.
 SMOOTH_M, FEWEST_SHOTS = 0.05, 8

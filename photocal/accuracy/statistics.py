@@ -158,7 +158,7 @@ def circular_error(second_moments_m2: Floats, probability: float) -> float:
     inverse = np.cos(angles) ** 2 + np.sin(angles) ** 2 * (large / small)
 
     def missing(radius: float) -> float:
-        """Probability within a radius, less the wanted one: its root is sought."""
+        """Probability within a radius minus the required one; zero at the radius searched for."""
         # Radii in units of the larger standard deviation.
         held = np.mean((1.0 - np.exp(-0.5 * radius**2 * inverse)) / inverse) * math.sqrt(large / small)
         return float(held) - probability

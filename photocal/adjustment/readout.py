@@ -268,8 +268,8 @@ def rolls_whatever_the_lens(network: Network, solution: Solution) -> bool:
 def left_by_movement(network: Network, solution: Solution) -> float:
     """What is left of v'Pv, as a share, where images may move during a usual readout; 1 if none is unknown.
 
-    Strips to and fro with the camera turned hide how long a readout is: what the flight moves is the same in
-    all images, and goes into c and the positions. What gusts move is not.
+    Strips to and fro with the camera turned hide the duration of the readout: the motion of the flight acts
+    alike on all images, so c and the positions absorb it. They do not absorb the motion by gusts.
     """
     # Readouts of cameras on small aircraft lie about this.
     usual_s = 0.02

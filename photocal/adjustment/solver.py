@@ -234,7 +234,7 @@ def _around_the_bend(problem: Problem, normal: Normal, state: State, step: Float
         before = lowest
         bent = part**2 / 2
         around = moved_along(problem, state, part * step + bent * bend, part * points + bent * bend_points)
-        # Far from where it was looked at, the bend may be another: straight on, too.
+        # Far from where it was evaluated the curvature may differ: try the straight step, too.
         for moved in (around, moved_by(problem, state, normal, part * step)[0]):
             chi_squared = _height(problem, moved)
             if chi_squared < lowest:
@@ -412,8 +412,8 @@ def chords(
     returns: the lowest place on the way, when the steps do not come to an end soon; its v'Pv is infinite
         where a point lies behind a camera from the beginning.
 
-    What the gradients tell of the curvature mends the factor (limited-memory BFGS, Nocedal 1980): along what
-    is hardly determined that of the residuals themselves counts, which normal equations leave out.
+    The curvature that the gradients show corrects the factor (limited-memory BFGS, Nocedal 1980): along
+    weakly determined directions the curvature of the residuals matters, which normal equations leave out.
     """
 
     def solved(right: tuple[Floats, Floats]) -> tuple[Floats, Floats]:

@@ -39,7 +39,7 @@ def analysis_record(analysis: Analysis, say: Catalogue) -> dict[str, Any]:
 
 
 def _words(part: object, say: Catalogue) -> dict[str, Any]:
-    """What stands beside the codes of a correlation, a requirement or a finding, as since schema 1."""
+    """Give the texts for the code of a correlation, a requirement or a finding, as since schema 1."""
     if isinstance(part, StrongCorrelation | ExteriorCorrelation):
         return {"words": say(f"cause.{part.cause}")}
     if not isinstance(part, Finding):

@@ -224,7 +224,7 @@ class RemovalStep:
     """One round of the removal rule.
 
     negligible: number of last components that hold less than the negligible share together.
-    crowd: parameters that cannot be told apart in this round.
+    crowd: parameters that cannot be separated in this round.
     statistic: x' S^-1 x / p of the removed ones: large when they are needed although correlated; nan without
         values.
     """
@@ -279,7 +279,7 @@ def propose_removal(estimates: Estimates) -> Proposal:
 
 
 def _crowd(components: Components, negligible: int) -> tuple[str, ...]:
-    """Name the parameters that cannot be told apart, or none."""
+    """Name the parameters that cannot be separated, or none."""
     for column in np.abs(components.loadings).T:
         together = np.flatnonzero(column > policy.strong_correlation)
         if len(together) > 1:

@@ -167,7 +167,7 @@ def _alternative(interior: Camera, model: Model) -> Camera:
 
 
 def _nearby(removals: Removals, out: Flags) -> State:
-    """Leave images out near the minimum: a lens that is quite another one without them hangs on them."""
+    """Leave images out near the minimum: a lens that changes too much without them depends on them."""
     nearby = removals.without(out, NEAR)
     if nearby is None or not nearby.reached:
         raise NotConvergedError(f"the lens depends on {int(out.sum())} of {len(out)} images")

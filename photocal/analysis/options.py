@@ -30,7 +30,7 @@ class AnalysisOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedOptions(Options):
-    """What stands beside a published table of parameters."""
+    """Options that complete a published table of parameters."""
 
     matrix: Annotated[
         Path | None, Option("CSV of the correlations or the covariance of published parameters.")

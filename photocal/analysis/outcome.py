@@ -235,7 +235,7 @@ def _known(sigmas: dict[str, float] | None, parameter: str) -> float | None:
 
 @dataclass(frozen=True)
 class ExteriorDifference:
-    """Original less adjusted exterior orientation over the images that have both.
+    """Original minus adjusted exterior orientation over the images that have both.
 
     mean_m, rmse_m: X, Y, Z in the local frame of the block (east, north, up where it has a reference system).
     mean_arcsec, rmse_arcsec: omega, phi, kappa.
@@ -259,7 +259,7 @@ class Analysis:
     observation_sigma: of the image coordinates, assumed and found, in the unit of the image plane.
     result_sha256: digest of the result.json that it belongs to.
     c_by_height: change of each camera's c with an error common to all observed heights of exposures, per m;
-        None where that error is an unknown of the adjustment, without the camera where nothing tells it.
+        None where that error is an unknown of the adjustment; cameras whose change is unknown are left out.
     """
 
     schema: str = SCHEMA

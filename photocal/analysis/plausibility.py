@@ -54,7 +54,7 @@ class CalibrationRecord:
         ground, ground sampling distance, air base, share of overlap.
     convergence_deg, depth_spread: largest angle between two optical axes; spread of the camera-object
         distances over their median.
-    stated_sigma_c: standard deviation of c that a client is told, where that is not the formal one.
+    stated_sigma_c: standard deviation of c that the client gets, where that is not the formal one.
     prior_sigmas: standard deviations of values that were observations too, by parameter.
     lever_arm_cm, boresight_deg: offsets of the positioning system.
     """

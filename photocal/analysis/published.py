@@ -58,7 +58,7 @@ class PublishedSet:
         eigenvalue. None without values.
     removal: the removal rule of the tank study; None without correlations of a camera.
     global_test: none without a standard deviation of unit weight.
-    one_angle: omega and kappa that are one angle; None where they are told apart.
+    one_angle: omega and kappa that are one angle; None where they can be separated.
     """
 
     name: str

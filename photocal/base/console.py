@@ -483,8 +483,8 @@ class _Lines:
             return
         self._shown_s, elapsed = now, now - self._began
         line = f"{self._title}: {elapsed:.0f} s"
-        # What is not yet done is told neither as whole nor as without time left; before the first hundredth,
-        # when kernels may be compiled, the time left is not known.
+        # Unfinished work shows neither 100 % nor 0 s left. Before the first per cent the time left is
+        # unknown: kernels may be compiled.
         if self._total and (share := math.floor(100 * self._done / self._total)):
             seconds = math.ceil(max(elapsed * (self._total / self._done - 1), 0))
             line = f"{self._title}: {self._left.format(share=share, seconds=seconds)}"
@@ -583,7 +583,7 @@ def clock(seconds: float) -> str:
 
 @dataclass(frozen=True)
 class Check:
-    """What was looked at before work: good, poor (something will be missing or slow) or bad; what helps."""
+    """A check before work: good, poor (something will be missing or slow) or bad, and the remedy."""
 
     part: str
     state: Literal["good", "poor", "bad"]

@@ -168,7 +168,7 @@ def _place(geometry: bytes | None) -> tuple[float, ...]:
     if not geometry:
         return ()
     order = "<" if geometry[0] else ">"
-    # Heights are told by a thousand more, or by the highest bit.
+    # A type with heights is larger by 1000 (ISO), or has its highest bit set (EWKB).
     kind = struct.unpack_from(f"{order}I", geometry, 1)[0] % 0x80000000 % 1000
     point, multipoint = 1, 4
     if kind == multipoint:

@@ -1,7 +1,7 @@
 """The policy: how sure is sure, how large is worth a word, how few are too few; each with its reason.
 
-What decides what a person is told stands here and nowhere else. Constants that only steer an algorithm
-(steps, rounds, sizes of buffers) stand beside it.
+Every threshold that decides what is reported is here and nowhere else. Constants that only steer an
+algorithm (steps, rounds, sizes of buffers) stay with it.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Policy:
-    """What decides what a person is told."""
+    """The thresholds that decide what is reported."""
 
     # --- How sure -------------------------------------------------------------------------------------------
 
@@ -130,7 +130,7 @@ class Policy:
     # Below this number of check points the standard deviation is known to worse than a quarter of itself (95
     # %).
     small_sample: int = 30
-    # Below this number a deviation cannot be told from the spread that it makes itself.
+    # Below this number a deviation cannot be separated from the spread that it causes itself.
     smallest_sample: int = 5
     # Coordinates of an image that is tested for a scale and a principal point of its own.
     fewest_coordinates_of_image: int = 12

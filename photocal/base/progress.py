@@ -32,7 +32,7 @@ class Standing:
     elapsed_s: float
 
 
-# Gives what is told of a run about once a second.
+# Takes the progress of a run about once a second.
 Bar = Callable[[], AbstractContextManager[Callable[[Standing], None]]]
 
 

@@ -127,7 +127,7 @@ def spoken(language: str = "") -> str:
 def spoken_to(arguments: Sequence[str]) -> str:
     """Return the language in which a program that was called so refuses.
 
-    The one asked for, else that of the environment; programs, which ask for JSON, are told in English.
+    The one asked for, else that of the environment; English for programs, which ask for JSON.
     """
     words = " ".join(arguments).replace("=", " ").split()
     asked = [after for word, after in pairwise(words) if word in ("--lang", "--language")]

@@ -259,7 +259,7 @@ def read_columns(path: Path) -> TextTable:
 
 
 def require_file(path: Path) -> int:
-    """Complain when a path is no file with content; returns its size, bytes."""
+    """Refuse a path that is not a file with content; returns its size, bytes."""
     try:
         is_folder, size = path.is_dir(), path.stat().st_size
     except (OSError, ValueError) as failure:

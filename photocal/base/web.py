@@ -65,7 +65,7 @@ _TYPES = {
 _READING = ("GET", "HEAD")
 # A browser opens six connections; who opens a thousand, or never ends the head of a request, is no browser.
 MOST_CONNECTIONS, HEAD_S = 100, 10.0
-# How many connections are accepted before one of them is looked at, and how long an end may take.
+# How many connections may wait to be handled, and how long a shutdown may take.
 _BACKLOG, _END_S = 64, 3.0
 
 
@@ -298,7 +298,7 @@ def _silence(*names: str) -> None:
 
 
 def _limited() -> type[asyncio.Protocol]:
-    """Return the protocol of the server, kept to `MOST_CONNECTIONS` and `HEAD_S`."""
+    """Return the protocol of the server, limited to `MOST_CONNECTIONS` and `HEAD_S`."""
     from uvicorn.protocols.http.h11_impl import H11Protocol
 
     class Limited(H11Protocol):

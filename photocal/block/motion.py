@@ -109,7 +109,7 @@ def expected_rates(observed: Floats, sigma: Floats, gust: Floats) -> tuple[Float
 
 
 def require_motion(block: Block, network: Network) -> None:
-    """Refuse to estimate a readout of which nothing tells how fast its images fly.
+    """Refuse to estimate a readout where the speed of its images is unknown.
 
     raises ConfigurationError.
     """

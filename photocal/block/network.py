@@ -51,8 +51,8 @@ def straightened(network: Network, refraction: float, *, curved: bool) -> Networ
 # Start coordinates are impossible where a ray misses them by this many principal distances, and by this many
 # times what rays usually miss: attitudes of a flight may be degrees off, those of all images alike.
 _ASTRAY, _UNLIKE = 0.25, 8.0
-# Heights of positions that are known no better may count from another surface, m; those that are known so
-# well were measured by GNSS from the ellipsoid.
+# Heights of positions with at least the first sigma may refer to another surface, m; heights with at most the
+# second were measured by GNSS, from the ellipsoid.
 OTHER_SURFACE_M, ELLIPSOIDAL_M = 50.0, 1.0
 
 
@@ -104,8 +104,8 @@ def _above_control(
 ) -> ExteriorOrientations:
     """Start elsewhere where cameras that are not held see most of the control behind them.
 
-    Heights of positions and of control count from other surfaces then: all begin shifted alike, to where the
-    rays of control meet it, and what was observed stays.
+    Heights of positions and of control then refer to different surfaces: all start values are shifted alike,
+    to where the rays of control meet it. Observed values stay.
     """
     moves = (exposures.sigma[:, 3:] != 0.0).all(axis=1)
     seen = rays.rows((np.trace(known, axis1=1, axis2=2) > 2.5)[rays.point])

@@ -17,7 +17,7 @@ class BlockKeys(Table):
 
     name: str = ""
     frame: str
-    # Unstated: another program's files do not say what their heights count from.
+    # Unstated: files of another program do not state the height reference.
     height: Literal["ellipsoidal", "orthometric", "local", "unstated", ""] = Field(
         default="", validation_alias=AliasChoices("height", "height_kind")
     )

@@ -79,7 +79,7 @@ def follow(
     report: Callable[[Debrief], None],
     last: Sequence[Camera] = (),
 ) -> Debrief:
-    """Judge the pictures of a project as they come, until `stop`; each is looked at once.
+    """Judge the pictures of a project as they come, until `stop`; each is examined once.
 
     The verdict so far is written whenever it changes. Positions are those that the pictures state: the log is
     still being recorded. What all say together is judged anew in the background, and rests as long as that

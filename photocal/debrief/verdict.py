@@ -144,7 +144,7 @@ Together = tuple[Sequence[Finding], Coverage | None, Quick | None]
 
 @dataclass(frozen=True)
 class Debrief:
-    """What is known of a flight, and whether it is complete, to be looked at, or to be flown again."""
+    """What is known of a flight, and whether it is complete, to be checked, or to be flown again."""
 
     verdict: Finding
     findings: tuple[Finding, ...]
@@ -171,7 +171,7 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
         except PhotocalError as refusal:
             findings.append(Finding("exposures-unknown", "grave", figures={"reason": str(refusal)}))
         with progress("checking pictures", len(paths)) as done:
-            # What was looked at before is kept by its content.
+            # Pictures examined earlier are cached by content.
             looks = list(run_tasks(pictures.look, ((path, plan) for path in paths), processes, done))
         if run is not None:
             findings += _exposure_findings(run, len(paths))
@@ -252,7 +252,7 @@ def _covered(
 
 
 def _ground(run: ExposureRun) -> float | None:
-    """Height of the ground below the flight, of the kind of the exposures' heights; None where nothing tells.
+    """Height of the ground below the flight, of the kind of the exposures' heights; None if unknown.
 
     Of the take-off: by the height above it that pictures state, or where the trajectory stood still.
     """
@@ -266,7 +266,7 @@ def _ground(run: ExposureRun) -> float | None:
 
 
 def _verdict(findings: Sequence[Finding]) -> Finding:
-    """Complete, to be looked at, or to be flown again."""
+    """Complete, to be checked, or to be flown again."""
     again = tuple(dict.fromkeys(finding.code for finding in findings if finding.severity in AGAIN))
     look = tuple(dict.fromkeys(finding.code for finding in findings if finding.severity in LOOK))
     figures = {"n": float(len(again or look)), "codes": again or look}

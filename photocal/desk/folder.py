@@ -115,7 +115,7 @@ def places(desk: Desk) -> dict[str, Any]:
     points = [*rows][: project_file.MOST_POINTS]
     values = np.array([value for _, value, _ in points]).reshape(-1, 3)
     degrees = _local_degrees(values) if crs == "local" else _in_degrees(crs, values)
-    # Points of a system of their own lie beside no picture's place.
+    # Points of a local system cannot be shown on one map with the places of pictures.
     placed = [one for one in facts if one.has_position and (crs != "local" or not points)]
     return {
         "points": [

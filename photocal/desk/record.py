@@ -21,7 +21,7 @@ _DEPTH, _MOST = 3, 5000
 
 
 class Watch:
-    """Follows the recording of a folder in a thread of its own, until another folder is looked at."""
+    """Follows the recording of a folder in a thread of its own, until another folder is opened."""
 
     def __init__(self) -> None:
         self._folder: Path | None = None

@@ -1,4 +1,4 @@
-"""Tiles of the pictures that may be looked at: those of the project that is open, or of a mere folder."""
+"""Tiles of the pictures that may be shown: those of the open project, or of a folder without one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from photocal.desk.session import Desk
 from photocal.measurement.marking.store import Picture, read_pictures
 from photocal.measurement.marking.tiles import HELD_PX, Tiles
 
-# Decoded pictures in memory where one is looked at, and the others are thumbnails.
+# Decoded pictures in memory while one is shown and the others are thumbnails.
 _ALONE_PX = 25_000_000
 Pictures = Callable[[], Mapping[str, Picture]]
 
@@ -49,7 +49,7 @@ class OpenPictures:
 def route(known: Pictures, cache: Path, side_by_side: Callable[[], bool]) -> Route:
     """Return the route to tiles of pictures, by level, column and row; no other file is ever opened.
 
-    side_by_side: whether several pictures are looked at by now: all of them are held.
+    side_by_side: whether several pictures are shown now: all of them are held.
     """
     tiles = Tiles(cache, held_px=_ALONE_PX)
 

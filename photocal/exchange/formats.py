@@ -396,7 +396,7 @@ _SPACES = {
     "wgs84": "WGS 84 (a local frame with --origin)",
     "none": "none",
 }
-# Read one by one, or with what only their reader is told: ground points, references, image size.
+# Read file by file, or with options that only their reader takes: ground points, references, image size.
 IN_PARTS = ("odm", "metashape-csv", "pix4d")
 
 

@@ -1,6 +1,6 @@
 """MicMac: ground points, image measurements (saisies), orientations and Tapas calibrations, XML.
 
-Pixels: x right, y down; principal point and measurements count from the same origin, which the files do not
+Pixels: x right, y down; principal point and measurements refer to the same origin, which the files do not
 name: it is taken for the centre of the upper-left pixel, as ours. The distortion is added to the projection
 in px (`brown-ideal`, convention DistM2C): radial coefficients of r^2, r^4, ... about the principal point,
 and affine and decentering terms of Fraser's model. Orientation as centre and the matrix from camera (x
@@ -113,7 +113,7 @@ def read_measures(path: Path) -> tuple[parts.Mark, ...]:
 
 
 def read(path: Path) -> ForeignProject:
-    """Read a project by one of its orientations: control and measurements lie beside their folder."""
+    """Read a project from one of its orientations; control and measurements are next to their folder."""
     folder = path.parent.parent
     tables: dict[str, Path] = {}
     # What we write as check points is nobody's control.

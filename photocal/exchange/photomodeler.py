@@ -222,7 +222,7 @@ def block_from_export(
 
 
 def read(path: Path) -> ForeignProject:
-    """Read an export with the table of control points that lies beside it."""
+    """Read an export with the table of control points in its folder."""
     export, control = read_export(path), control_beside(path)
     if control.exists():
         block = block_from_export(export, read_control(control), [path, control])

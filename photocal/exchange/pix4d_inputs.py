@@ -33,7 +33,7 @@ class Pix4DInputs:
     points: surveyed ones, whose sigmas are 0 where a coordinate was surveyed, else infinite.
     marks: of all points, those that were never surveyed among them; px of the stored grid.
     crs: WKT of their system, "local" for one of the site, empty where the file names none.
-    geoid: what heights count from, by its name; empty where the file names none.
+    geoid: the one that heights refer to, by its name; empty where the file names none.
     level: EPSG code of that system of heights, where it is known.
     """
 

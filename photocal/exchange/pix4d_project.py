@@ -195,7 +195,7 @@ def _computed_of(project: Path) -> Path:
 
 
 def _checks(folder: Path) -> tuple[frozenset[str], list[str]]:
-    """Check points of the project file, where it still lies beside its folder."""
+    """Check points of the project file, where it is still next to its folder."""
     # NAME.p4d beside NAME/1_initial/params.
     if len(folder.resolve().parents) < 2:
         return frozenset(), []

@@ -47,7 +47,7 @@ class Line:
 
 
 def require_readable(path: Path) -> int:
-    """Complain when a path is no file with content of a credible size.
+    """Refuse a path that is not a file with content of a credible size.
 
     raises InputNotFoundError: when it is missing, empty or a folder.
     raises InputMalformedError: when it is too large to be what it should be.

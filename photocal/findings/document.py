@@ -347,7 +347,7 @@ def as_json(document: Document) -> dict[str, Any]:
     numbers = numbered(document)
 
     def beside(part: object) -> dict[str, Any]:
-        """Say what stands beside a part: its kind, its number, its cells as text."""
+        """Give what accompanies a part: its kind, its number, its cells as text."""
         more: dict[str, Any] = {"kind": type(part).__name__}
         if id(part) in numbers:
             more["number"] = numbers[id(part)]

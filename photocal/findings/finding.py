@@ -9,7 +9,7 @@ from photocal.base.policy import policy
 
 # Refused: the figure cannot be right. Grave: what the client uses is wrong. Doubtful: it contradicts
 # another, or an error is large. Consequence: it follows from others that say what is wrong. Note: the reader
-# should know. Passed and untested: what was looked at in vain, and what could not be looked at.
+# should know. Passed: tested, nothing found. Untested: could not be tested.
 Severity = Literal["refused", "grave", "doubtful", "consequence", "note", "passed", "untested"]
 Figure = float | str | tuple[str, ...] | None
 # Limit of equivalence: a smaller error of the stated standard deviations is no finding, however sure it is.
@@ -70,7 +70,7 @@ class Finding:
 
 
 def untested(code: str, cause: str, figures: Mapping[str, Any] | None = None) -> Finding:
-    """Give what could not be looked at, and why not."""
+    """Give what could not be tested, and why not."""
     return Finding(code, "untested", figures=figures or {}, cause=cause)
 
 

@@ -21,7 +21,7 @@ from photocal.findings.texts import Catalogue, finding_json, plain, remedy_text,
 
 # May a block be mapped with, may a camera be carried to other flights. Not placed: the datum is inner
 # constraints. Held: nothing of the camera was estimated. On positions: nothing else places the block, or
-# tests where it lies. On heights: c cannot be told from a shift of them.
+# tests where it lies. On heights: c cannot be separated from a shift of them.
 Answer = Literal["yes", "on-positions", "on-heights", "reserved", "no", "not-placed", "held", "unknown"]
 # Whoever reads more than that reads nothing; so many that are alike are one line, fewer each say their own.
 MOST_LINES, ALIKE = 7, 3
@@ -106,7 +106,7 @@ def judge(
 
 
 def held_and_contradicted(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
-    """Name once what a block both contradicts and does not determine: nobody can be told to estimate it."""
+    """Name once what a block both contradicts and does not determine: advice to estimate it is useless."""
     of_held = {f.subject for f in findings if f.code == "camera-held"}
     contradicted = {
         camera
@@ -159,13 +159,13 @@ def _answer(deciding: Sequence[Finding], elsewhere: frozenset[str]) -> Answer:
 
 
 def _of_block(deciding: Sequence[Finding], listed: Iterable[Finding]) -> Answer:
-    """Whether the block may be mapped with: that positions alone place it, untested, is told."""
+    """Whether the block is fit for mapping; the answer says if positions alone place it, untested."""
     answer, codes = _answer(deciding, _OF_CAMERA), {finding.code for finding in listed}
     return "on-positions" if answer == "yes" and codes >= _UNTESTED else answer
 
 
 def _of_camera(deciding: Sequence[Finding], listed: Iterable[Finding]) -> Answer:
-    """Whether the camera may be carried: that its c follows from the heights of the positions is told."""
+    """Whether other flights may use the camera; the answer says if heights of positions determine c."""
     answer = _answer(deciding, _OF_BLOCK)
     terms = (f.figures.get("terms") for f in listed if f.code in _OPEN)
     of_heights = any(isinstance(of, list | tuple) and "c" in of for of in terms)

@@ -166,15 +166,15 @@ def parsed(name: str) -> Any:
     return system
 
 
-# Heights of another program's files that do not say what they count from: taken as they are.
+# Heights from files of another program that do not state the height reference: used unchanged.
 UNSTATED = "unstated"
 
 
 def reference_frame(name: str, height: str, origin: Floats) -> ReferenceFrame:
     """Make the frame of a block in a coordinate reference system.
 
-    Orthometric heights in a system that does not name a geoid count from its ellipsoid as they would from
-    the geoid: good where nothing else has heights, see `require_geoid`.
+    Orthometric heights in a system that does not name a geoid are used as if they referred to its ellipsoid:
+    valid where nothing else has heights, see `require_geoid`.
 
     origin (3,): middle of the block.
     raises ConfigurationError: when the kind of the heights is not said or does not fit the system.
@@ -264,8 +264,8 @@ def ground_scale(crs: str, places: Floats) -> GroundScale:
     """Give the factors at places, of PROJ's point scale and Gauss's mean radius of the ellipsoid.
 
     crs: a map system; with a vertical one, too, heights go through its geoid.
-    places (n, 3): coordinates as given in it, m; heights of a system that does not name a geoid count from
-        the ellipsoid (six metres of geoid are one millionth).
+    places (n, 3): coordinates as given in it, m; heights of a system that does not name a geoid are taken as
+        ellipsoidal (six metres of geoid are one millionth).
     raises ConfigurationError: for a system that is no map.
     """
     from pyproj import Proj
@@ -291,7 +291,7 @@ def combined_factor(crs: str, places: Floats) -> Floats:
     """Length in a map system of a metre on the ground, shape (n,): point scale times elevation factor.
 
     A horizontal distance that was measured on the ground, times this factor, is its distance in the map:
-    control "on the ground" stands beside a frame "on the grid" by this scale (`combined_factor(...) - 1`).
+    control "on the ground" differs from a frame "on the grid" by this scale (`combined_factor(...) - 1`).
 
     crs: the map system, as "EPSG:31982"; see `ground_scale` for the heights.
     places (n, 3): coordinates as given in it, m.

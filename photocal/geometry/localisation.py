@@ -22,7 +22,7 @@ _FEWEST_FOR_TILT, _LINE = 4, 0.02
 
 @dataclass(frozen=True)
 class CommonPoints:
-    """Points in both systems; a coordinate that is NaN in either takes no part.
+    """Points in both systems; a coordinate that is NaN in either is not used.
 
     map_m, local_m (n, 3): east, north, height.
     sigma_m (n, 3): of both together; None where nobody states them: the residuals tell.
@@ -256,7 +256,7 @@ def _tested(
 
 
 FEWEST = 3
-# Triples that a robust similarity is sought among, and beyond how many medians a place does not fit it.
+# Triples that the search for a robust similarity tries; places beyond this many medians do not fit it.
 SAMPLES, STRAY = 300, 4.0
 
 

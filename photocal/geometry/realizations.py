@@ -42,7 +42,7 @@ class Realization:
     """A frame with the epoch of its coordinates.
 
     frame: as PROJ calls it, "IGS20", "SIRGAS 2000".
-    epoch: years; NaN for what is fixed to a plate, and where it is not told.
+    epoch: years; NaN for what is fixed to a plate, and where it is unknown.
     """
 
     frame: str
@@ -53,7 +53,7 @@ class Realization:
         return self.frame, None if math.isnan(self.epoch) else self.epoch
 
     def __eq__(self, other: object) -> bool:
-        """Whether frame and epoch are the same; two epochs that are not told are."""
+        """Whether frame and epoch are the same; two unknown epochs are."""
         return isinstance(other, Realization) and self._told == other._told
 
     def __hash__(self) -> int:
@@ -171,8 +171,8 @@ def frame_shift(place_m: Floats, source: Realization, target: Realization) -> Fr
     """Give the shift of a place from one realization to another.
 
     place_m (3,): earth-centred.
-    returns: None where nothing known leads from one to the other, where an epoch is missing, or where both
-        are moving frames of different epochs and nothing tells the plate.
+    returns: None where no transformation between them is known, where an epoch is missing, or where both are
+        moving frames of different epochs and the plate is unknown.
     """
     start, here = FIXED.get(source.frame, (source, None))
     end, there = FIXED.get(target.frame, (target, None))

@@ -12,7 +12,7 @@ def apparent_rise(apart: Floats, refraction: float, *, curved: bool) -> Floats:
     """By how much points seem to lie higher than on a straight ray over a plane earth, m, shape (n,).
 
     A ray is an arc of the radius R/k: seen over the distance s a point rises by k s^2 / 2R. Where heights
-    count from a curved earth but coordinates are plane, it sinks by d^2 / 2R, d its level distance.
+    refer to a curved earth but coordinates are plane, it sinks by d^2 / 2R, d its level distance.
 
     apart (n, 3): from the camera to the point, m.
     refraction: coefficient k, ratio of the radii of earth and ray; 0.13 by Gauss, 0.17 in the standard

@@ -167,7 +167,7 @@ def causes_of(
         return None, None
     apart = separation(mounted, found.shared)
     if apart is not None and not len(block.positions.image):
-        # Positions that images state have no lever arm that could be told from anything.
+        # A lever arm of positions that images state cannot be separated from anything.
         groups = tuple(g for g in apart.groups if not all("lever_arm" in name for name in g))
         apart = replace(apart, groups=groups)
     return found, apart

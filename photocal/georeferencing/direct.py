@@ -90,7 +90,7 @@ def calibration_of(at: Factored) -> Calibration:
 
 
 def leaves_open(block: Block) -> bool:
-    """Whether nothing states a value of mounting or camera, or how well it is known: then it is unknown."""
+    """Whether a value of mounting or camera, or its standard deviation, is not stated: then it is unknown."""
     mounted = bool(len(block.positions.image) and len(block.attitudes.image))
     unknown = [camera.estimated & np.isinf(camera.prior_sigma) for camera in block.cameras]
     return bool(np.any(unknown)) or (mounted and bool(np.isinf(block.mounting.sigma[:STRIPS]).any()))

@@ -26,7 +26,7 @@ from photocal.hypotheses.findings import asked_of, cause_findings
 def control_by_strip(block: Block, names: Sequence[str], strip: Integers) -> list[dict[str, Any]]:
     """Count the images of each strip, and the control points that they show.
 
-    names, strip (n,): images in the order of the flight and their strips, which people count from 1.
+    names, strip (n,): images in the order of the flight, and their strips, numbered from 1.
     """
     own = {name: int(number) for name, number in zip(names, strip.tolist(), strict=True)}
     of_image = np.array([own.get(name, -1) for name in block.images.names])

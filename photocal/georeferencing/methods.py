@@ -75,7 +75,7 @@ class Georeferenced:
     joint: covariance of the check points among them, shape (3 n, 3 n), in the order of `points`; None for
         direct georeferencing, and for more of them than `_MOST_JOINT`.
     calibration: camera and mounting of the integrated method, where there are positions and attitudes.
-    predicted: whether the covariance is whole; not where values are used whose uncertainty nothing states.
+    predicted: whether the covariance is complete; not where values of unknown uncertainty are used.
     """
 
     method: Method

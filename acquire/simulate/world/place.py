@@ -15,7 +15,7 @@ from photocal.base.geodesy import enu_axes, geocentric, geodetic
 if TYPE_CHECKING:
     from pyproj import Transformer
 
-# GPS time less UTC, and how long that is known to hold (IERS Bulletin C).
+# GPS time minus UTC, and how long that is known to hold (IERS Bulletin C).
 LEAP_S = 18
 LEAP_SECONDS_SINCE, LEAP_SECONDS_KNOWN_TO = dt.date(2017, 1, 1), dt.date(2027, 6, 28)
 _ELLIPSOID = "+ellps=GRS80"

@@ -124,7 +124,7 @@ def _where(place: Floats, lon: str = "lon") -> dict[str, Integers]:
 
 
 def _since_boot(world: World, time_s: Floats, unit_s: float) -> Integers:
-    """Give the autopilot's own time: it counts from its start, a little fast or slow."""
+    """Give the autopilot's own time: it is measured from its start, a little fast or slow."""
     given = world.configuration.telemetry
     return _whole((given.boot_s + time_s * (1 + given.clock_drift_ppm * 1e-6)) * unit_s)
 
@@ -243,7 +243,7 @@ def _pictures(world: World, view: Filter) -> Iterator[SentMessage]:
 
 
 def _mission(world: World) -> Iterator[SentMessage]:
-    """Give the plan as it is told before the take-off, and how it is followed."""
+    """Give the plan as it is sent before the take-off, and how it is followed."""
     strips = world.motion.strip
     ends = np.array([moment for _, begin, end in strips for moment in (begin, end)])
     place = world.place.to_geodetic(world.motion.position(ends))

@@ -16,7 +16,7 @@ from photocal.geometry.localisation import Similarity, robust_similarity
 from photocal.geometry.resection import FEWEST_PAIRS, RelativeOrientation, relative_orientations
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 
-# Pairs that are looked at, and images that a trial model has.
+# Pairs that are tested, trials, and images of a trial model.
 PAIRS, TRIALS, TRIAL_IMAGES = 24, 6, 4
 # Beyond this angle (radians) a wider base makes a pair no better.
 WIDE = np.radians(25.0)
@@ -79,7 +79,7 @@ def _pairs(bearings: Bearings, free: Flags) -> list[tuple[int, int, list[Relativ
     image, other = together.coords
     use = (image < other) & free[image] & free[other] & (together.data >= FEWEST_PAIRS)
     order = np.argsort(-together.data[use], kind="stable")
-    # Neighbours that see most are often too close to each other: some with less in common are looked at too.
+    # Pairs with most points in common often have too short a base: test some with fewer, too.
     steps = np.unique(np.concatenate([np.arange(PAIRS), np.linspace(0, len(order) - 1, PAIRS).astype(int)]))
     pairs = []
     for k in order[steps[(steps >= 0) & (steps < len(order))]]:

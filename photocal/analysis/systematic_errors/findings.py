@@ -49,7 +49,7 @@ def moved_with_c(fitted: AdjustedNetwork, camera: int, change: float) -> float:
 
 
 def of_datum(search: Search) -> list[Finding]:
-    """Say what hangs on the datum of the positions, where no test could tell that it is wrong."""
+    """Say what depends on the datum of the positions, where no test could detect an error of it."""
     shift, solution = search.positions, search.first.solution
     if shift is None or {"datum-shift", "antenna-height"} & {e.hypothesis.name for e in search.causes.errors}:
         return []
@@ -201,7 +201,7 @@ def of_jackknife(search: Search) -> list[Finding]:
         effect = float(before[0]) if worst == 0 else None
         clauses = ["in_corner"] if error[2] else []
         clauses.append("once_corrected" if search.corrected else "as_adjusted")
-        # Whoever carries a parameter is told the larger standard deviation; heights of this block are not.
+        # The larger standard deviation holds where other blocks use the parameter, not for heights of this.
         ground: float | None = None
         severity: Severity = "note"
         if effect is not None:
@@ -237,7 +237,7 @@ def _indispensable(search: Search, k: int) -> list[Finding]:
     needed = [name for name in own if name in search.jackknife_first.not_possible]
     if not needed or len(own) - len(camera.free) >= FEWEST or not camera.free:
         return []
-    # Where the others can be left out, what that does to c is told by itself.
+    # Where the others can be left out, another finding reports how c changes.
     unknown = bool(np.isnan(search.jackknife_first.standard_error[k, 0]))
     figures: dict[str, Figure] = {"camera": camera.id, "names": tuple(needed)}
     return [Finding("image-needed", "doubtful" if unknown else "note", camera.id, figures)]

@@ -105,7 +105,7 @@ def _further(fit: AdjustedNetwork, fields: Floats) -> tuple[Floats, Floats, Floa
 
 
 def _smaller_p(shift: Floats, covariance: Floats, freedom: float) -> float:
-    """The smaller probability of height and plane, for both having been looked at."""
+    """The smaller probability of height and plane, corrected for having tested both."""
     of_part = [
         float(
             special.fdtrc(n, freedom, shift[part] @ np.linalg.solve(covariance[part, part], shift[part]) / n)

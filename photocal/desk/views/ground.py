@@ -1,4 +1,4 @@
-"""The orthophoto beneath the map: the newest that lies beside the project, in tiles of bounded size."""
+"""The orthophoto beneath the map: the newest in the folder of the project, in tiles of bounded size."""
 
 from __future__ import annotations
 

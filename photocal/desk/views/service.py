@@ -109,7 +109,7 @@ class Look:
         return self.view(("findings", say.language), lambda shown: overview.findings(shown, say))
 
     def picture(self, asked: dict[str, str]) -> dict[str, Any]:
-        """Observations of one picture; without any where it takes no part."""
+        """Observations of one picture; none if it is not used."""
         name = asked.get("name", "")
         known = self._known_pictures().get(name)
         try:
@@ -126,7 +126,7 @@ class Look:
         return pictures.point(self.shown(), asked.get("name", ""))
 
     def ground(self, level: int, column: int, row: int) -> bytes:
-        """A tile of the orthophoto that the map was told of."""
+        """A tile of the orthophoto that the map shows."""
         if self._ground is None:
             raise InputNotFoundError("has no orthophoto", "run photocal ortho", where=self._desk.folder)
         return ground_tile(self._ground, level, column, row)
