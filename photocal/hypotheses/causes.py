@@ -25,7 +25,7 @@ from photocal.hypotheses.fields import LEFT, RayField, ray_fields
 from photocal.hypotheses.system import Added, System, chi_squared_of, loosened, system
 from photocal.hypotheses.table import Fault
 
-# So many positions and control points, the most contradicted ones, are looked at beside all else.
+# So many positions and control points, the most contradicted ones, are tested in addition to all else.
 _MOST_POSITIONS, _MOST_CONTROL = 8, 24
 # What nature bounds is looked for where its largest amount would be found in 80 % of cases (Baarda 1968).
 _FOUND = float(special.ndtri(1.0 - policy.significance / 2.0) + special.ndtri(policy.power)) ** 2
@@ -108,7 +108,7 @@ class Candidates:
     def fall(self, causes: Sequence[Cause]) -> tuple[float, int]:
         """Give v'Pv and degrees of freedom with some causes free.
 
-        raises IllPosedError: when they cannot be told from what is free already.
+        raises IllPosedError: when they cannot be separated from what is free already.
         """
         here = self.stated(causes)
         added = [k for cause in causes if cause.fixed is None for k in cause.added]
@@ -309,7 +309,7 @@ def _of_strips(network: Network, entry: Fault | None) -> list[Cause]:
     if entry is None or len(strips) < 2 or np.any(network.mounting.sigma[STRIPS:]):
         return []
     listed = []
-    # Strips with fewer positions are not looked at one by one.
+    # Strips with fewer positions are not tested one by one.
     least_of_strip = 3
     for strip in strips[count >= least_of_strip].tolist():
         names = [network.image_names[i] for i in network.positions.image[network.positions.strip == strip]]

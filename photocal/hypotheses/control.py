@@ -199,7 +199,7 @@ def contradiction(seen: Predicted) -> Contradiction | WrongSigmas | None:
     found = _contradiction(seen, removed, np.array(error), sigma)
     if likelier > 0.0:
         return WrongSigmas(found if likelier <= policy.as_good else None)
-    # The more points are blamed, the more each of them must be told from a factor of all.
+    # The more points are blamed, the more clearly each must be distinguished from a factor of all.
     return replace(found, as_scale=-likelier <= policy.as_good * len(removed))
 
 
@@ -374,7 +374,7 @@ def _beside_others(
 def slips(given: Floats, wanted: Floats, sigma: Floats, system: str) -> tuple[str, ...]:
     """Name the slips of the pen that made the given coordinates of the wanted ones; none that chance makes.
 
-    A digit can be found for nearly every error: a slip is told only where of random errors as large fewer
+    A digit can be found for nearly every error: a slip is reported only where of random errors as large fewer
     than one in twenty would fit some slip as closely.
 
     returns: "code axis given wanted" each.

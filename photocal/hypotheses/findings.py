@@ -1,4 +1,4 @@
-"""What the search found, said once and in the same words by every command: causes, then what was not told."""
+"""What the search found, once and in the same words by every command: causes, then what was not stated."""
 
 import math
 from collections.abc import Callable
@@ -48,7 +48,7 @@ no_slips = Slips()
 def cause_findings(
     found: SystematicErrors, slips: Slips = no_slips, target_m: float | None = None
 ) -> tuple[Finding, ...]:
-    """Give the causes that were found, the gravest first, and what is told of the observations.
+    """Give the causes that were found, the gravest first, and what is reported of the observations.
 
     target_m: root mean square error that is asked of the block; it says what is harmful.
     """

@@ -1,4 +1,4 @@
-"""Gross rays: single ones that miss by far more than all others, set aside before causes are sought."""
+"""Gross rays: single ones that miss by far more than all others, set aside before the search for causes."""
 
 from dataclasses import replace
 

@@ -96,7 +96,7 @@ def judge(
     """Test a cause beside others that are free already.
 
     before: v'Pv and degrees of freedom with these.
-    raises IllPosedError: when it cannot be told from them.
+    raises IllPosedError: when it cannot be separated from them.
     """
     solution = these.adjusted.solution
     (fall_from, freedom), (after, left) = before, these.fall((*others, cause))
@@ -111,7 +111,7 @@ def judge(
     level = limit_of(cause, families)
     critical = float(special.fdtri(unknowns, freedom, 1.0 - level))
     p_value = min(1.0, float(special.fdtrc(unknowns, freedom, f)) * families * cause.choices)
-    # Of a control point nothing tells but control: a block of more rays makes it no less likely.
+    # Only control shows that a control point is wrong: a block of more rays makes it no less likely.
     of_control = cause.fault.each in ("point", "pair")
     telling = 3 * len(control_points(these.network)) if of_control else solution.observations
     cost = unknowns * math.log(telling) + 2.0 * math.log(cause.choices)

@@ -1,8 +1,8 @@
 """The search: as few causes of one table as explain the contradictions of a block.
 
 One adjustment is given. Its factored equations judge all hypotheses at once, an adjustment confirms what was
-chosen, and the model with it must pass (`adequacy`), or what was found is told as no cause. Gross rays come
-first, then control points that contradict each other where they bend the block.
+chosen, and the model with it must pass (`adequacy`), or what was found is not reported as a cause. Gross rays
+come first, then control points that contradict each other where they bend the block.
 """
 
 import math
@@ -102,7 +102,7 @@ def straightened(
 ) -> tuple[AdjustedNetwork, SystematicError | None]:
     """Adjust a network; where that cannot be, without control that contradicts itself.
 
-    returns: that control, too, which the search is to be told.
+    returns: that control, too, which the search must know.
     raises IllPosedError, NotConvergedError: as the adjustment does, where no control is to blame.
     """
     try:
@@ -301,7 +301,7 @@ def _wrong_sigma(
     an error competes with it (Schwarz 1978). Too small residuals no error explains, and those of positions
     that share their errors tell nothing of their sigmas.
     """
-    # As of causes: of the sigmas of control nothing tells but control.
+    # As of causes: only control shows that its sigmas are wrong.
     of_control = math.log(max(3 * len(control_points(given.network)), 2))
     of_all = math.log(given.solution.observations)
     significant = [one for one in tries.values() if one.significant]

@@ -1,7 +1,7 @@
 """Control brought to a block that its pictures alone have oriented: what fits places it, the rest is named.
 
-A block keeps its shape whatever a person has typed. So gross errors of control are sought before any of it is
-adjusted: rays of a point must meet, and points that met must lie as surveyed, but for one similarity.
+A block keeps its shape whatever a person has typed. So gross errors of control are searched for before any of
+it is adjusted: rays of a point must meet, and points that met must lie as surveyed, but for one similarity.
 """
 
 from collections.abc import Mapping
@@ -126,7 +126,7 @@ def fit_control(
             if not keeps[j]:
                 findings.append(_off(points.names[j], float(away[j] * move.scale * gsd), float(away[j])))
     keeps |= _checks_here(points, rays.met, target, move, surveyed & known)
-    # What counts in plane or height alone is compared with nothing here.
+    # What is used in plane or height alone is compared with nothing here.
     partly = points.of_role("control") & ~np.isfinite(points.sigma).all(axis=1)
     # What is marked nowhere does no harm, and is named as such.
     keeps |= (partly | (surveyed & (count == 0))) & known
@@ -307,7 +307,7 @@ def _shown(marks: Tracks, views: OrientedImages, move: Similarity, target: Float
 def _checks_here(
     points: ObjectPoints, met: Floats, target: Floats, move: Similarity, among: Flags | bool
 ) -> Flags:
-    """Check points of this block: what is only wrong stays, to be told by its discrepancy."""
+    """Check points of this block: what is only wrong stays: its discrepancy shows it."""
     checks = points.of_role("check") & among
     known = checks & np.isfinite(met).all(axis=1)
     if not known.any():

@@ -40,7 +40,7 @@ from photocal.measurement.picture_facts import (
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-# Records of Parrot's Sequoia: time, us; rates about its axes, rad/s; and what is not told.
+# Records of Parrot's Sequoia: time, us; rates about its axes, rad/s; and undocumented bytes.
 _RECORD = np.dtype([("time", "<u8"), ("rate", "<f4", 3), ("rest", "<u4")])
 _RECORDS = re.compile(r":IMUAngularVelocity=\"([^\"<>]{0,100000})\"")
 # Its axes point ahead, to the right and down; those of the camera to the right, ahead and up.

@@ -102,7 +102,7 @@ def require_names(paths: Iterable[Path]) -> None:
 
 
 def left_out_entry(image: str, reason: str, code: str) -> dict[str, str]:
-    """Say why a picture takes no part, for people and by the code of the cause."""
+    """Say why a picture is not used, for people and by the code of the cause."""
     return {"image": image, "reason": reason, "code": code}
 
 
@@ -257,8 +257,8 @@ def _png_notes(file: IO[bytes]) -> Iterator[bytes]:
 def _require_memory(image: Image) -> None:
     """Look at the memory before pixels fill it: else the system may end the program, or others."""
     free = available_memory()
-    # Beside the picture itself: grey values, what is sought in them, and the space of its search. Measured on
-    # 700 million pixels of 8 bits: 4.4 bytes in all.
+    # Beside the picture itself: grey values, what is searched for in them, and the space of that search.
+    # Measured on 700 million pixels of 8 bits: 4.4 bytes in all.
     working_bytes = 4
     needed = image.width * image.height * (working_bytes + _STORED_BYTES.get(image.mode, 4))
     if free is not None and needed > free:

@@ -26,9 +26,9 @@ _IN_NAME = pattern(r"(\d{14})(\d{2})Z$")
 class ImageMetadata:
     """One image.
 
-    camera: maker, model and serial number as far as they are told.
+    camera: maker, model and serial number as far as they are stated.
     time_s: seconds since 1970 by the camera's (or the file name's) clock, time zone unknown.
-    resolution_s: 1 where only whole seconds are told.
+    resolution_s: 1 where only whole seconds are stated.
     from_name: whether the time is that of the recording computer in the file name (UTC).
     facts: what else the file says; None for a row of a table.
     utc: whether the time is the UTC of the exposure, by the receiver that the camera is connected to.

@@ -16,7 +16,7 @@ from photocal.findings.finding import Finding
 
 # No aircraft that carries a camera for survey flies faster over ground, m/s.
 FASTEST_M_S = 80.0
-# Beside what it flies, a position may be off by so many of its sigmas, or by so much without any, m.
+# Beside what it flies, a position may be off by so many of its sigmas, or by this amount without any, m.
 SIGMAS, UNSTATED_M = 5.0, 20.0
 # Lines that are closer in time are the same exposure, s.
 SAME_S = 1e-3
@@ -32,7 +32,7 @@ class ListedPositions:
     lines: what names each line: "line 7", or the name of a picture.
     time_s (n,): of the events by one clock; NaN where the list tells none.
     place (n, 3): latitude, longitude (deg), height (m).
-    sigma_m (n, 3): east, north, up; NaN where not told.
+    sigma_m (n, 3): east, north, up; NaN where not stated.
     number (n,): the device's own count; -1 where it tells none.
     """
 
@@ -121,7 +121,7 @@ def _solution_row(line: str, where: str) -> tuple[float, ...]:
         raise wrong from refusal
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 360.0 and np.isfinite([time_s, height]).all()):
         raise wrong
-    # Four decimals are printed: zero is a sigma that is not told.
+    # Four decimals are printed: zero is a sigma that is not stated.
     told = [sigma if sigma > 0.0 else np.nan for sigma in sigmas]
     return time_s, latitude, longitude, height, *told, *[np.nan] * (3 - len(told))
 
@@ -248,7 +248,7 @@ def judge_against_pictures(
     """Compare listed positions with those that the pictures of the same exposures state, in plane.
 
     listed, stated (n, 3): latitude, longitude (deg), height (m); NaN where not known.
-    listed_sigma, stated_sigma (n, 3): east, north, up, m; NaN where not told.
+    listed_sigma, stated_sigma (n, 3): east, north, up, m; NaN where not stated.
     returns: which of them contradict, and what is to be said.
     """
     known = np.isfinite(listed).all(axis=1) & np.isfinite(stated[:, :2]).all(axis=1)

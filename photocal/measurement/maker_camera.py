@@ -70,7 +70,7 @@ class StatedCamera:
 
     @property
     def guessed(self) -> bool:
-        """Whether nothing tells the principal distance."""
+        """Whether the principal distance is not stated."""
         return self.share >= GUESSED
 
     def prior_sigma(self) -> dict[str, float]:

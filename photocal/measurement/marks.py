@@ -109,7 +109,7 @@ class ControlMarks:
     without_coordinates: points that have marks but no coordinates: they are left out.
     rows: of the list, where it has one for each mark.
     refused: those that are not used, with the reason.
-    doubtful: what looks like a slip in others.
+    doubtful: what looks like a typing error in others.
     assumed: points whose sigmas nobody states: they are along east, north and up in any system.
     file, cameras: where they were read, and the cameras of another program's set-up.
     beside: files that list more of the points.
@@ -192,7 +192,7 @@ def read_typed_list(path: Path, sigma_m: Sigma, say: Catalogue) -> ControlMarks:
 def in_map_system(given: ControlMarks) -> ControlMarks:
     """Take geographic and geocentric coordinates, and maps in feet, to the UTM zone of their middle.
 
-    Heights stay as they are; those of geocentric coordinates count from the ellipsoid, those of a map in feet
+    Heights stay as they are; those of geocentric coordinates refer to the ellipsoid, those of a map in feet
     are in feet, too.
     """
     from pyproj import Transformer
@@ -339,7 +339,7 @@ def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
             "has no placed markers with coordinates", "export the markers as XML", where=path
         )
     crs = (chunk.findtext("reference") or "").strip()
-    # Without a reference nobody says what the coordinates count from.
+    # Without a reference it is not stated what the coordinates refer to.
     system = "local" if crs.startswith("LOCAL_CS") else crs
     return ControlMarks(system, object_points(entries), marks, tuple(bare), assumed=frozenset(assumed))
 

@@ -103,7 +103,7 @@ def _moved(homography: Floats, pixels: Floats32) -> Floats:
 # the epipolar line, px. A pair needs so many verified matches; by chance a few always agree.
 RATIO, EPIPOLAR_PX, FEWEST = 0.85, 2.0, 20
 # First only so many features of each image are matched, the coarsest: a pair that has fewer verified matches
-# among them is given up, for a small part of the cost. By chance about ten agree. The others are sought only
+# among them is given up, for a small part of the cost. By chance about ten agree. The others are matched only
 # where these say that they should be.
 SKETCH, SKETCH_FEWEST = 2500, 14
 
@@ -262,7 +262,7 @@ def features_of(path: Path, plan: MatchingPlan) -> tuple[str, Features] | None:
     try:
         key, reason = _detect_one((path, combined_key(FEATURES, digest(path), plan.features), plan))
     except OutputError:
-        # Few pictures are looked at: without a cache that costs seconds.
+        # Few pictures are examined: without a cache that costs seconds.
         return "", detect(as_eight_bit(read_grey(path)), plan.features)
     return None if reason else (key, _features(plan, key, whole=True))
 

@@ -198,7 +198,7 @@ def findings_of_marks(
     suspects: Sequence[dict[str, Any]],
     left_out: Sequence[dict[str, str]],
 ) -> list[Finding]:
-    """Find what must not pass silently: images, marks and targets that take no part, marks far off."""
+    """Find what must not pass silently: images, marks and targets that are not used, marks far off."""
     findings = []
     for cause in dict.fromkeys(entry.get("code", "unusable") for entry in left_out):
         images = tuple(entry["image"] for entry in left_out if entry.get("code", "unusable") == cause)

@@ -40,7 +40,7 @@ class Orientation:
 def of_run(run: Path) -> Orientation:
     """Read the orientation that an adjustment found."""
     result = read_result(run)
-    # What was adjusted counts heights as its points do: nothing that GNSS has measured stands beside it.
+    # Adjusted heights are of the same kind as those of the points: no GNSS measurement is given with them.
     height = UNSTATED if result.block.height == "orthometric" else result.block.height
     return Orientation(result.images, result.block.frame, height, "adjustment")
 

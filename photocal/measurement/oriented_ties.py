@@ -43,7 +43,7 @@ _ROUNDS, _LESS = 6, 0.7
 PATCH_PX = 2.0 * HALF - 1.0
 # Sigmas of tie points come from their own residuals: they test nothing.
 ESTIMATED = Finding("sigmas-from-residuals", "note")
-# Nothing says how the block lies.
+# Position and rotation of the block are unknown.
 NOT_PLACED = Finding("block-not-placed", "doubtful")
 # What is said of positions alone, which control may answer.
 _WITHOUT_CONTROL = ("block-not-placed", "positions-in-line")

@@ -71,7 +71,7 @@ from photocal.measurement.tie_orientation import pictures_turned
 from photocal.measurement.tracks import Tracks
 from photocal.project import Project
 
-# How far heads move (m) and turn (rad) on their frame while gross errors are sought.
+# How far heads move (m) and turn (rad) on their frame during the search for gross errors.
 LOOSE_FRAME = 0.05, 0.002
 NO_CONTROL = ControlMarks("", NO_POINTS, ())
 
@@ -86,7 +86,7 @@ class KnownPictures:
     height: kind of the heights.
     position_sigma: of positions without; None leaves all positions free.
     told: what the record says besides.
-    project: its cameras are released in the end, and its targets sought. Without one the pictures state
+    project: its cameras are released in the end, its targets searched for. Without one the pictures state
         their cameras, and c, x0, y0 are held.
     camera_of, exposure_of: cameras of pictures, and what those of heads on one frame have in common.
     exposures: orientations from a flight log, to start from and to predict targets.
@@ -183,7 +183,7 @@ def measure_images(
     """
     options = options or MeasureOptions()
     file, sigma_m, height, crs = options.gcp, options.gcp_sigma_m, options.height, options.crs
-    # What is wrong with the file is told before the images are looked at.
+    # What is wrong with the file is reported before the images are examined.
     placed = file is not None and read_control_marks(file, sigma_m, {}).crs not in ("", "local")
     if placed and height not in ("ellipsoidal", "orthometric"):
         raise ConfigurationError(

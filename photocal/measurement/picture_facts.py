@@ -1,7 +1,7 @@
 """The one table of what pictures state: fact, unit, meaning, the keys that makers write, and who uses it.
 
 Keys are tags of EXIF by their names in the standard, or properties of XMP as "prefix:name"; the first one
-that is written counts. What no maker of the table writes is sought by the bare name, whoever wrote it; what
+that is written counts. What no maker of the table writes is read by the bare name, whoever wrote it; what
 is not found there either stays unknown. A new maker is a key more, a new fact one entry of
 `picture_facts.toml` and one field of `image_facts.ImageFacts`.
 
@@ -116,7 +116,7 @@ class Fact:
 
 
 def _facts() -> tuple[Fact, ...]:
-    """The table, as it stands beside this module."""
+    """The table, from the folder of this module."""
     text = resources.files("photocal.measurement").joinpath("picture_facts.toml").read_text("utf-8")
     rows: list[dict[str, Any]] = tomllib.loads(text)["fact"]
     return tuple(Fact(**{"unit": "", **row, "keys": tuple(row["keys"])}) for row in rows)

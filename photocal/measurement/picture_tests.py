@@ -182,7 +182,7 @@ def _lens(image: ImageFacts) -> str:
 
 
 def _focus(image: ImageFacts) -> str:
-    """Distance and lens position, as far as they are told."""
+    """Distance and lens position, as far as they are stated."""
     told = [f"{image.focus_m:g} m"] if np.isfinite(image.focus_m) else []
     told += [f"lens position {image.lens_position:g}"] if np.isfinite(image.lens_position) else []
     return ", ".join(told)

@@ -19,7 +19,7 @@ from photocal.findings.texts import Catalogue
 from photocal.measurement.marks import ControlMarks
 from photocal.measurement.position_files import PLACE_HEADS
 
-# Words of heights; beside one of them, or alone, stands what the heights count from.
+# Words of heights; beside one of them, or alone, stands what the heights refer to.
 _HEIGHT_WORDS = frozenset(folded(word) for word in PLACE_HEADS["Z"] if " " not in folded(word))
 _ELLIPSOIDAL = re.compile(r"ell?ip\w*|ellis\w*|h?ell|hae|geometric[ao]")
 _ORTHOMETRIC = re.compile(
@@ -141,7 +141,7 @@ def read_places(
 
 
 def _height_column(path: Path, words: Sequence[str]) -> str:
-    """The head of the heights: a word of its own before one that names what they count from."""
+    """The head of the heights: a word of its own before one that names what they refer to."""
     names = read_columns(path).columns.column_names
     heads = [folded(name) for name in names]
     known = [folded(word) for word in words]
@@ -155,7 +155,7 @@ def _height_column(path: Path, words: Sequence[str]) -> str:
 
 
 def _kind_of(head: str) -> tuple[str, str]:
-    """What heights under a head count from, and the EPSG code of a system that it names; empty without."""
+    """What heights under a head refer to, and the EPSG code of a system that it names; empty without."""
     words = re.split(r"[\W_]+", folded(re.sub(r"[()\[\]]", " ", head)))
     words = [word for word in words if word and word not in _UNITS]
     marked = [word for word in words if _ELLIPSOIDAL.fullmatch(word) or _ORTHOMETRIC.fullmatch(word)]

@@ -45,9 +45,9 @@ class FoundTargets:
 
     marks: with the standard deviation that the grey values give, and a common part.
     strangers: codes without a name.
-    record: how many were sought and found, and what was refused. Points are ambiguous that were given up
-        because two targets fit them, or their target fits two points; too small where no image shows them
-        large enough to be told from a speck.
+    record: how many were searched for and found, and what was refused. Points are ambiguous that were given
+        up because two targets fit them, or their target fits two points; too small where no image shows them
+        large enough to be distinguished from a speck.
     """
 
     marks: tuple[Mark, ...] = ()
@@ -78,7 +78,7 @@ def find_plain_targets(
         marks += [replace(mark, image=name) for mark in named]
         for point, doubt in doubtful.items():
             doubts.setdefault(point, []).append(f"{doubt} in {name}")
-    # What stands beside a target stands there in all images, though some may not show both.
+    # An object next to a target is there in all images, though some may not show both.
     sure = tuple(mark for mark in marks if mark.point not in doubts)
     sought = sum(len(predictions) for _, predictions in tasks)
     ambiguous = [f"point {name}: {reasons[0]}" for name, reasons in doubts.items()]

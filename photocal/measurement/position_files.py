@@ -210,7 +210,7 @@ def read_positions(path: Path, pictures: Sequence[ImageFacts]) -> PlacesOfPictur
     else:
         try:
             heads = {"image": (*IMAGE_HEADS, "label", "name", "nome"), **PLACE_HEADS}
-            # Nothing names the system of eastings that stand beside them.
+            # Nothing names the system of eastings that are given with them.
             degrees = _has(path, _DEGREES)
             table = read_under(path, heads | (_DEGREES if degrees else {}), ("image", *"XYZ"))
         except PhotocalError:
@@ -353,7 +353,7 @@ def _event_table(path: Path) -> ListedPositions:
     time_s = np.array([_moment(*told) for told in zip(dates, table.texts("time"), strict=True)])
     refuse(table, np.isnan(time_s), "the time cannot be read", "write it as 2026-05-14 12:30:05.250")
     if table.has("week"):
-        # Times of week are told in milliseconds, too.
+        # Times of week are written in milliseconds, too.
         time_s = time_s / (1e3 if time_s.max(initial=0.0) > WEEK_S else 1.0) + table.numbers("week") * WEEK_S
     values = np.hstack([table.matrix("YXZ"), table.matrix(("sX", "sY", "sZ"), empty=np.nan)])
     lines = tuple(table.place(row).rpartition(", ")[2] for row in range(len(table)))
@@ -373,7 +373,7 @@ def _moment(date: str, time: str) -> float:
             return dt.datetime.fromisoformat(stamp).replace(tzinfo=dt.UTC).timestamp()
         except ValueError:
             return np.nan
-    # Computers count in milliseconds, microseconds and nanoseconds, too.
+    # Computers write milliseconds, microseconds and nanoseconds, too.
     while 1e11 < value < np.inf:
         value /= 1e3
     return value if np.isfinite(value) else np.nan

@@ -245,8 +245,8 @@ def _least(adjusted: AdjustedTies, cameras: Sequence[Camera], place: int) -> tup
     return minimum.iterations[-1].chi_squared, cameras[place].with_values(minimum.state.cameras[place])
 
 
-# While gross errors are sought these are held: a level block determines them only with precise positions,
-# which the measurement does not use.
+# During the search for gross errors these are held: a level block determines them only with precise
+# positions, which the measurement does not use.
 HELD = ("c", "x0", "y0")
 # What is held, step by step, where a block does not bear all that its project estimates.
 HOLDING: tuple[tuple[str, ...], ...] = ((), HELD, PARAMETERS)
@@ -286,9 +286,9 @@ def release(
     """Adjust once more with all parameters that the project estimates and the block determines.
 
     Only now the residuals are those of the measurements: a principal point that is held wrongly would go
-    into the sigmas. The exterior orientation of it is not used, for c may drift with the heights. What runs
-    away, or leaves all that is known of it beforehand, is held as it was given; unless the rays then miss by
-    far more: what was known is not of these pictures, which were cut or enlarged.
+    into the sigmas. The exterior orientation of it is not used, for c may drift with the heights. What
+    diverges, or leaves all that is known of it beforehand, is held as it was given; unless the rays then miss
+    by far more: what was known is not of these pictures, which were cut or enlarged.
     """
     asked = {camera.id: camera for camera in block.cameras}
     refusal: dict[str, Figure] = {}
@@ -365,7 +365,7 @@ def _not_borne(
     for camera, used in zip(wanted, released.assembly.network.cameras, strict=True):
         if (camera.estimated & ~used.estimated).any():
             return {"camera": camera.id}
-    # What the model lacks (a rolling shutter above all) goes into c, which then leaves what was known of it.
+    # What the model lacks (a rolling shutter above all) biases c, which then leaves what was known of it.
     for camera in released.start.cameras:
         first = given[camera.id]
         away, prior = abs(camera.value("c") - first.value("c")), float(first.prior_sigma[0])

@@ -282,12 +282,12 @@ _STEP_PX = 8.0
 _AROUND = _STEP_PX * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]])
 Kind = Literal["disc", "ring", "cross", "hourglass"]
 
-# Targets that are smaller are not told from specks: side in px where it is seen shortest.
+# Targets that are smaller are not distinguished from specks: side in px where it is seen shortest.
 SMALLEST_PX = {"disc": 8.0, "ring": 8.0, "cross": 12.0, "hourglass": 12.0}
 # Width of a cross's bars, diameter of a ring's hole, as parts of the side.
 PARTS = {"disc": 1.0, "ring": HOLE, "cross": BAR, "hourglass": 1.0}
 _BLUR_PX = 0.7
-# Ground that is looked at around a target, as a part of its half side, and at least, px.
+# Ground that is examined around a target, as a part of its half side, and at least, px.
 _BESIDE, _BESIDE_PX = 0.15, 1.5
 _STEP = np.pi / 12
 # How many steps until a target looks the same again.
@@ -405,7 +405,7 @@ class TargetImage:
 
     @property
     def large_enough(self) -> bool:
-        """Whether it can be told from a speck."""
+        """Whether it can be distinguished from a speck."""
         return 2 * self.semi_axes[1] >= SMALLEST_PX[self.kind]
 
     @property

@@ -194,7 +194,7 @@ def _worth_a_fit(
     """Places where the image is like the target, with its turn; those that are likest first."""
     import cv2
 
-    # Large targets are sought in a reduced image, where they are as long as this, px.
+    # Large targets are searched for in a reduced image, where they are as long as this, px.
     sought_px = 24.0
     factor = max(look.size / sought_px, 1.0)
     small = look.smaller(factor)

@@ -1,7 +1,7 @@
 """Images oriented by their tie points alone, then placed by control points and positions.
 
 The shape of a block comes from its rays; what images say of their positions, which may be wrong by tens of
-metres, only places it. So a wrong position bends nothing and can be told from the others.
+metres, only places it. So a wrong position bends nothing and can be distinguished from the others.
 """
 
 import json
@@ -33,7 +33,7 @@ from photocal.measurement.tracks import Tracks
 VERSION = 1
 # The principal distance that was given is kept where the rays fit it so well, and meet in threes so often,
 # as the one that they would choose: flat ground seen from one height says next to nothing about it, and what
-# the model of the camera lacks goes into it. Beyond these shares of it, it is never believed.
+# the model of the camera lacks biases it. Beyond these shares of it, it is never believed.
 KEPT_MISFIT, KEPT_SUPPORT = 1.5, 0.9
 CREDIBLE = (0.7, 1.4)
 # Places whose errors leave a turn open by more than this (rad) do not say how the whole lies.
@@ -44,7 +44,7 @@ LEVEL = 0.2
 # than was assumed.
 WRONG_POSITION, WORSE_POSITIONS = 6.0, 2.0
 OF_POSITIONS = ("position-off", "positions-worse", "heights-apart")
-# Heights of receivers and of control that differ by more count from different surfaces, m.
+# Heights of receivers and of control that differ by more refer to different surfaces, m.
 HEIGHTS_APART_M = 3 * POSITION_SIGMA_M[2]
 # No geoid lies farther from the ellipsoid.
 LARGEST_UNDULATION_M = 110.0
@@ -202,7 +202,7 @@ def _placing(model: Model, control: Floats, given: Floats, sigma: float) -> tupl
         np.vstack([model.points[points], model.centre[images]]),
         np.vstack([control[points], given[images, 3:]]),
     )
-    # Heights of positions may count from another surface: control alone, where it suffices.
+    # Heights of positions may refer to another surface: control alone, where it suffices.
     for source, target, error in ((model.points[points], control[points], 0.0), (*both, sigma)):
         fit = robust_similarity(source, target)
         if fit is not None:
@@ -279,7 +279,7 @@ def position_sigmas(images: Images, values: Floats, *, shifted: bool) -> tuple[F
     shifted: whether something better places the block, so that what all positions have in common is no
         scatter.
     returns sigma (images, 6): as stated where the rays bear it out; larger where all are worse; infinite
-        where one is wrong, and of heights that count from another surface than what places the block.
+        where one is wrong, and of heights that refer to another surface than what places the block.
     returns shift (3,): what all positions are off by, m.
     """
     sigma, shift = images.sigma.copy(), np.zeros(3)

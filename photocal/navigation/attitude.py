@@ -12,7 +12,7 @@ from photocal.navigation.trajectory import LARGEST_GAP_S, local_mean_square
 
 # A camera's own axes when its body's forward axis is the line of sight: x right, y up, z backwards.
 LINE_OF_SIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
-# Turn of a vehicle between attitudes a second apart, off the steady turn, where nothing tells it.
+# Turn of a vehicle between attitudes a second apart, off the steady turn, where it is not known.
 _DEFAULT_WANDER = np.radians(3.0)
 
 

@@ -12,7 +12,7 @@ from photocal.findings.finding import Finding
 from photocal.geometry.realizations import FIXED, FrameShift, Realization, frame_shift, known_realization
 from photocal.navigation.time import GpsTime
 
-# The newest frame of the world: what precise orbits, and casters that say nothing, mostly count in.
+# The newest frame of the world: what precise orbits, and casters that state none, mostly refer to.
 _OF_TODAY = "ITRF2020"
 
 
@@ -20,9 +20,9 @@ _OF_TODAY = "ITRF2020"
 class BaseFrame:
     """What is known of the frames.
 
-    source: of the base's position; None where nobody tells.
+    source: of the base's position; None where it is not stated.
     target: of the control; None without a control system, or where its realization is not known.
-    shift: from one to the other; where `source` is not told, from the frame of the world on that day.
+    shift: from one to the other; where `source` is not stated, from the frame of the world on that day.
     """
 
     source: Realization | None = None
@@ -34,7 +34,7 @@ class BaseFrame:
         """Compare the frame of a base with that of the control.
 
         base_m (3,): earth-centred.
-        today: epoch of the observations, years: that of a moving frame that is told without one.
+        today: epoch of the observations, years: that of a moving frame that is stated without one.
         """
         target = None if crs in (None, "local") else known_realization(crs or "")
         if source is not None and source.moves and math.isnan(source.epoch):

@@ -251,7 +251,7 @@ def autopilot_clock(boot_ns: Integers, utc_ns: Integers, host_ns: Integers) -> C
     """Fit an autopilot's UTC to its time since boot, also over restarts."""
     # Telemetry overtakes itself by fractions of a second; a clock that goes back by more was started anew.
     restart_ns = 5_000_000_000
-    # An autopilot switched on anew counts from zero: its stretches must not be mixed.
+    # An autopilot switched on anew starts at zero: its stretches must not be mixed.
     starts = np.concatenate([[0], np.flatnonzero(np.diff(boot_ns) < -restart_ns) + 1, [len(boot_ns)]])
     cycles, begins = [], []
     for a, b in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):

@@ -132,7 +132,7 @@ def _possible(covariance: Floats, quality: Integers) -> Floats:
     for value in np.unique(quality[~sound]):
         lost, good = (np.flatnonzero((quality == value) & which) for which in (~sound, sound))
         if not len(good):
-            # Nothing says how the errors go together; the printed sigmas are all there is.
+            # The correlation of the errors is unknown; the printed sigmas are all there is.
             covariance[lost] = covariance[lost] * np.eye(3)
             continue
         covariance[lost] = covariance[good[nearest(good, lost)]]

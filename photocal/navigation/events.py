@@ -34,7 +34,7 @@ _KINDS = {
     "CAMERA_TRIGGER": ("time_usec", 1000, "seq"),
     "CAMERA_IMAGE_CAPTURED": ("time_boot_ms", 1_000_000, "image_index"),
 }
-# From 2000 on a time is UTC, below it counts from the start of the autopilot.
+# From 2000 on a time is UTC, below it is measured from the start of the autopilot.
 _EARLIEST_UTC_NS = 946_684_800 * 1_000_000_000
 # Flag of the receiver: 50 fixed, 34 float, 16 single.
 _STATUS = {50: "fixed", 34: "float"}

@@ -201,7 +201,7 @@ def _autopilot_clock(e: Evidence) -> Finding:
 
 
 def _other_positions(e: Evidence) -> list[Finding]:
-    """Hold the exposures against every other position that was told for them."""
+    """Compare the exposures with every other position that was stated for them."""
     if e.trajectory is None:
         return []
     findings, at_antenna = [], replace(e.rig, lever_m=None)

@@ -10,7 +10,7 @@ from photocal.navigation.engine import SatelliteResiduals
 # The engine's weights of codes at the zenith, m, of one receiver (its options stats-errphase and
 # stats-eratio1), and by how much it trusts GLONASS less.
 _CODE_M, _GLONASS = 0.3, 1.5
-# So many stretches of each length are looked at.
+# So many stretches of each length are examined.
 _MOST_STRETCHES = 200
 
 

@@ -100,7 +100,7 @@ def rotation_check(exposures: Exposures, pairs: list[PairRotation], source: str)
         return untested(CODE, "no-neighbours", {"source": source})
     angles, names = np.array([pair.angle_deg for pair in pairs]), exposures.first_images
     turned = stored_turns(pairs)
-    # Over a turn of the vehicle attitudes lag behind: pairs within a strip are told apart from those across.
+    # Over a turn of the vehicle attitudes lag behind: pairs within a strip are separated from those across.
     within = np.array([pair.quarter_turns == 0 for pair in pairs])
     figures: dict[str, Any] = {
         "source": source,
@@ -139,7 +139,7 @@ def compare_with_oriented(
 ) -> list[PairRotation]:
     """Compare relative rotations of every image and its follower; the frame of the block does not matter."""
     # An adjustment of many images knows rotations better than two images over flat ground do, whose tilt and
-    # shift can hardly be told apart.
+    # shift can hardly be separated.
     recorded, _ = orientations(exposures, rig)
     place = places_of(exposures)
     rows = _common(exposures, oriented)
@@ -206,7 +206,7 @@ def _inflation(error: Floats) -> Floats:
     return np.asarray((1 + r) / (1 - r))
 
 
-# How tie points of the images are found, and who is told how far that is.
+# How tie points of the images are found, and where the progress is reported.
 TieMatching = tuple[MatchingPlan, Progress]
 
 

@@ -124,5 +124,5 @@ class SiteOptions(Options):
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Names of the common points that take no part."""
+        """Names of the common points that are not used."""
         return tuple(name.strip() for name in self.without.split(",") if name.strip())

@@ -164,7 +164,7 @@ class _Model:
 def _without_gross(design: Floats, difference: Floats, rows: Integers) -> Integers:
     gross = 5.0
     for _ in range(5):
-        # Gross errors are told by what is left when all errors looked for are allowed.
+        # Gross errors are detected by what is left when all errors looked for are allowed.
         size = np.linalg.norm(_Model(design[rows], difference[rows]).solved()[2], axis=1)
         kept = rows[size <= gross * max(float(np.median(size)), 1e-6)]
         if len(kept) == len(rows) or len(kept) < _LEAST:
@@ -177,7 +177,7 @@ def _noise(design: Floats, difference: Floats) -> tuple[float, float]:
     """Give the standard deviation of a difference, and which share of the differences is independent."""
     squares, _, residual, _ = _Model(design, difference).solved()
     together = float(np.sum(residual[1:] * residual[:-1]))
-    # Of neighbours that are more alike than this it cannot be told how much.
+    # Of neighbours that are more alike than this the correlation cannot be determined.
     most_alike = 0.9
     r = float(np.clip(together / max(float(np.sum(residual**2)), 1e-300), 0.0, most_alike))
     return float(np.sqrt(squares / max(difference.size - design.shape[2], 1))), (1 - r) / (1 + r)

@@ -50,7 +50,7 @@ def between_directions(
     origin = combined.place[0]
     here, fore, back = (s.offsets(origin) for s in (combined, forward, backward))
     f, b = forward.at(combined.time), backward.at(combined.time)
-    # A direction with the worse status took no part.
+    # A direction with the worse status was not used.
     both = (f >= 0) & (b >= 0) & (forward.quality[f] == backward.quality[b])
     # Positions are printed to 0.1 mm, and a mean weighted by full matrices may leave the line between both.
     rounding_m = 0.005
@@ -150,7 +150,7 @@ def with_antennas(
     """Return options with the models of the antennas, each by a given name or that of its RINEX header.
 
     rover, base: observations and given name; "none" for an antenna without a model.
-    raises ConfigurationError: for an antenna that is not told, or that the file does not have; for names
+    raises ConfigurationError: for an antenna that is not stated, or that the file does not have; for names
         without a file.
     """
     sides = {"rover": rover} | ({} if base is None else {"base": base})

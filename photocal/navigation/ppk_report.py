@@ -96,7 +96,7 @@ def _frame(known: BaseFrame | None) -> dict[str, Any]:
 
 def _findings(result: PpkResult, counts: dict[str, int], epochs: int) -> Iterator[Finding]:
     """Find what should not pass silently into results."""
-    # Corrections that are this old still serve; longer gaps are told.
+    # Corrections that are this old still serve; longer gaps are reported.
     long_gap_s = 30.0
     fixed = 100.0 * counts["fixed"] / epochs
     good_share = 95.0
@@ -149,7 +149,7 @@ def _directions_apart(judgement: ValidatedFixes) -> list[dict[str, Any]]:
     """List where a position counts as fixed though the directions are apart, and which was taken."""
     # The engine takes the direction with the better status; where both are fixed and differ, neither counts.
     apart = np.linalg.norm(judgement.separation_m, axis=1)
-    # Directions this far apart where one is taken as fixed are told, with the reason: two fixes agree better.
+    # Directions this far apart where one is taken as fixed are reported: two fixes agree better.
     apart_m = 0.10
     rows = np.flatnonzero((judgement.solution.quality == FIXED) & (apart > apart_m))
     places = []

@@ -28,7 +28,7 @@ class ObservationFile:
 
     systems: letters of the satellite systems (G GPS, R GLONASS, E Galileo, J QZSS, C BeiDou).
     bands: digits of the carrier bands with phases.
-    antenna, antenna_m: its type with radome, empty where not told, and its reference point above the mark.
+    antenna, antenna_m: its type with radome, empty where not stated, and its reference point above the mark.
     """
 
     path: Path
@@ -117,7 +117,7 @@ class PreciseResult:
 
     position_m (3,), covariance_m2 (3, 3): X, Y, Z.
     frame: as the service names it, "IGS20"; empty where it does not.
-    epoch: of the coordinates, years; NaN where not told.
+    epoch: of the coordinates, years; NaN where not stated.
     """
 
     position_m: Floats
@@ -133,7 +133,7 @@ class PreciseResult:
 
     @property
     def realization(self) -> Realization | None:
-        """Frame and epoch; None for a frame that is not told, or told without its version."""
+        """Frame and epoch; None for a frame that is not stated, or stated without its version."""
         return known_realization(self.frame, self.epoch) if self.frame else None
 
     @property

@@ -52,7 +52,7 @@ class CameraOnBody:
 def check_mounting(rig: CameraOnBody, mounting: AutopilotMounting) -> list[Finding]:
     """Compare lever arm and camera axes of a project with what the vehicle's parameters tell of its mounting.
 
-    The parameters count from the body's origin, the lever arm from the camera: the difference is where the
+    The parameters refer to the body's origin, the lever arm to the camera: the difference is where the
     camera would sit on the body. No check where the vehicle tells nothing.
     """
     findings = []

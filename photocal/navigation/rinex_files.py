@@ -137,7 +137,7 @@ def rtcm3_time(frames: list[Frame], path: Path, today: GpsTime, near: GpsTime | 
 
     today: GPS counts its weeks anew every 1024; the week is not after this.
     near: of the other receiver, or None.
-    raises IllPosedError: when nothing tells it.
+    raises IllPosedError: when it cannot be determined.
     """
     dated = (f.data for f in frames if f.kind == 1013 and len(f.data) >= DATE_BYTES)
     # The difference of GPS time and UTC does not matter here.
@@ -212,8 +212,8 @@ def observations_ready(
 
     stem: where files are made, without an ending.
     today: see `rtcm3_time`.
-    other: observations of the other receiver, by whose date the week of RTCM is told where nothing else does.
-    raises InputMalformedError: for what is no file of observations.
+    other: observations of the other receiver, whose date gives the week of RTCM where no other source does.
+    raises InputMalformedError: for what is not a file of observations.
     """
     with reading(path):
         given = path.read_bytes()
@@ -345,7 +345,7 @@ def _without_1980(data: bytes) -> tuple[bytes, int]:
     body = data.find(b"\n", end) + 1
     epoch = _EPOCH_2 if data.lstrip()[:1] == b"2" else _EPOCH_3
     lost, at = 0, body
-    # Receivers that do not know the time yet count from 1980; some from the last roll over of the weeks.
+    # Receivers that do not know the time yet start at 1980; some from the last roll over of the weeks.
     before_gnss = 1990
     for match in epoch.finditer(data, body):
         year = int(match[1])

@@ -70,7 +70,7 @@ def read_point_table(path: Path) -> PointTable:
 def calibrate(local: PointTable, mapped: PointTable, options: SiteOptions) -> SiteCalibration:
     """Fit a local system to the points that both tables name.
 
-    Common points that are left out take no part, and are shown all the same.
+    Common points that are left out are not used, and are shown all the same.
     raises ConfigurationError: for points that are not common, or a scale that is none of these.
     raises IllPosedError: for too few common points.
     """
@@ -184,8 +184,8 @@ def _rms(part: FittedPart) -> float:
 def whose_metre(made: SiteCalibration) -> str:
     """Whether a metre of the local system is one on the ground, one of the map, either or neither.
 
-    returns: "ground", "map", "either", "neither"; "held" where the scale was not estimated or nothing tells
-        how sure it is.
+    returns: "ground", "map", "either", "neither"; "held" where the scale was not estimated or its
+        standard deviation is unknown.
     """
     scale, sigma = made.fit.plan.parameters[3], float(np.sqrt(made.fit.plan.covariance[3, 3]))
     if not made.fit.scale_free or np.isnan(sigma):

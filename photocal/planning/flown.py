@@ -218,7 +218,7 @@ def _cell_of(places: Floats, ground: GroundCells) -> Integers:
 
 
 def _window(middle: Floats, reach: float, ground: GroundCells) -> Integers:
-    """Cells of the square about a place, so that a circle in a large ground is not sought in all of it."""
+    """Cells of the square about a place, so that a circle is not searched for in all of a large ground."""
     rows = len(ground.places) // ground.columns
     offset = middle - ground.places[0, :2]
     ends = np.array([offset - reach, offset + reach]) / ground.cell_m

@@ -226,7 +226,7 @@ def check_points(title: str, run: AnalysedRun, say: Catalogue) -> Section:
 
 
 def _check_lengths(run: AnalysedRun, say: Catalogue) -> TablePart:
-    """Known distances that took no part, after VDI/VDE 2634 part 1: the largest error is the figure."""
+    """Known distances that were not used, after VDI/VDE 2634 part 1: the largest error is the figure."""
     lengths, factor = run.result.checks.lengths, run.result.scale
     lengths_of = ("known [mm]", "error [mm]", "adjusted_length [mm]", "known_sigma [mm]")
     rows = (

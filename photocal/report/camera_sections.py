@@ -123,7 +123,7 @@ def critical_t(dof: int) -> float:
 
 
 def insignificant(camera_id: str, run: AnalysedRun) -> list[str]:
-    """Name the estimated parameters that cannot be told from zero at 95 %, by the largest of their sigmas."""
+    """Name the estimated parameters that are not significant at 95 %, by the largest of their sigmas."""
     camera, critical = run.result.cameras[camera_id], critical_t(run.result.degrees_of_freedom)
     tested = [name for name in camera.free if name not in NOT_TESTED and camera.sigma_of(name) > 0.0]
     return [name for name in tested if abs(camera.value(name)) / run.stated(camera_id, name)[0] < critical]

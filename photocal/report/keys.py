@@ -282,7 +282,7 @@ _RESTORE = "compare it with a copy of the journal"
 def note(number: str, digest: str, now: dt.datetime) -> tuple[dict[str, Any], str]:
     """Append to the journal of this user, on the disk, too.
 
-    returns: the entry, and what was mended before it; empty where nothing was.
+    returns: the entry, and what was corrected before it; empty where nothing was.
     raises InputMalformedError: when the journal is not whole: it stays as it is.
     """
     path = private_folder(settings_folder()) / _JOURNAL

@@ -133,7 +133,7 @@ def _budget(camera_id: str, run: AnalysedRun, particulars: Metadata, say: Catalo
     entered: dict[Source, float] = {**particulars.uncertainty.of_c}
     if datum is not None:
         entered["datum"] = datum
-    # What images say together hangs on their number, not on that of the rays.
+    # What images say together depends on their number, not on that of the rays.
     images = max(
         int((result.images.camera == list(result.cameras).index(camera_id)).sum()) - len(camera.free), 1
     )

@@ -48,7 +48,7 @@ _LARGEST, _PATIENCE_S = 1 << 16, 20.0
 
 @dataclass(frozen=True)
 class Stamped:
-    """A time stamp: when the signature existed, by whom, and whether that authority was verified.
+    """A time stamp: when the signature existed, the authority, and whether that authority was verified.
 
     time: UTC.
     authority: subject of the certificate that signed it; empty where it carries none.
@@ -232,7 +232,7 @@ class Authenticity:
 def sign(folder: Path, number: str, now: dt.datetime, passphrase: str = "") -> tuple[Key, str]:
     """Sign a certificate's folder as it lies there and note it in the journal.
 
-    returns: the key it was signed with, and what was mended in the journal before; empty for nothing.
+    returns: the key it was signed with, and what was corrected in the journal before; empty for nothing.
     raises PhotocalError: without a key, with one that others can read, has expired or was revoked, with a
         wrong passphrase, when the folder has links, or when the journal is not whole.
     """

@@ -47,7 +47,7 @@ class AnalysedRun:
     analysis: Analysis | None = None
 
     def stated(self, camera_id: str, parameter: str = "c") -> tuple[float, str]:
-        """Standard deviation that a client is told: scaled where the global test is rejected, or larger.
+        """Standard deviation as reported to a client: scaled where the global test is rejected, or larger.
 
         returns: it, and whose it is: see `Opinions.largest`; "held" for what was not estimated.
         """

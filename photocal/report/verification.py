@@ -175,7 +175,7 @@ def repeated(
     result = certified_result(certified, folder)
     with tempfile.TemporaryDirectory(prefix="photocal-verify-") as name:
         aside = Path(name)
-        # Only what is certified takes part, whatever else lies beside it.
+        # Only what is certified is used, whatever else is in the folder.
         carry(result.inputs, source, aside)
         copied = BlockSource(aside / CARRIED, result.block.setup)
         wanted = Wanted(components=bool(result.variance_components))

@@ -1,1 +1,1 @@
-"""The one result of an adjustment: made, written and read here, looked at by everybody above."""
+"""The one result of an adjustment: made, written and read here, used by all modules above."""

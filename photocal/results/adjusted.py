@@ -419,7 +419,7 @@ def given_exposures(assembly: NetworkOfBlock, solution: Solution) -> tuple[Float
 
 
 def residuals_of(block: Block, assembly: NetworkOfBlock, solution: Solution) -> Residuals:
-    """Residuals of all observations of a block; NaN for those that took no part."""
+    """Residuals of all observations of a block; NaN for those that were not used."""
     seen = block.observations
     sign = np.array([1.0, -1.0 if seen.axes == "pixel" else 1.0])
     v, r, w = np.full((3, len(seen.image), 2), np.nan)
@@ -505,7 +505,7 @@ def _control_in_doubt(network: Network) -> Iterator[None]:
 def adjusted(
     assembly: NetworkOfBlock, snooping: Test | None = None, report: Report | None = None
 ) -> tuple[NetworkOfBlock, Solution]:
-    """Adjust the network of an assembly; points that no start value brings before their cameras take no part.
+    """Adjust the network of an assembly; points that no start value brings before their cameras are not used.
 
     raises PhotocalError: for an ill-posed network.
     """

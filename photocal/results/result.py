@@ -84,7 +84,7 @@ class CheckPoint:
 
 @dataclass(frozen=True)
 class CheckLength:
-    """A known distance that took no part: its value, adjusted minus known, and sigmas of both, m."""
+    """A known distance that was not used: its value, adjusted minus known, and sigmas of both, m."""
 
     first: str
     second: str
@@ -181,7 +181,7 @@ class AdjustedHead:
 
 @dataclass(frozen=True)
 class RejectedRay:
-    """An observation that takes no part because data snooping found it wrong."""
+    """An observation that is not used because data snooping found it wrong."""
 
     image: str
     point: str
@@ -210,7 +210,7 @@ class AdjustedPoints:
 class Residuals(Columns):
     """Image observations and their residuals (computed minus measured), in unit and axes of the observations.
 
-    measured, residual (n, 2): NaN residuals where an observation took no part.
+    measured, residual (n, 2): NaN residuals where an observation was not used.
     redundancy, standardised (n, 2): redundancy numbers (0 to 1) and standardised residuals; NaN where nothing
         else checks one.
     """
@@ -449,7 +449,7 @@ class Result(Figures):
         columns |= {axis: rays.measured[:, k] for k, axis in enumerate("xy")}
         for name, pair in (("v", rays.residual), ("r", rays.redundancy), ("w", rays.standardised)):
             for k, axis in enumerate("xy"):
-                # Of an observation that takes no part, or that no other checks, cells are empty.
+                # Of an observation that is not used, or that no other checks, cells are empty.
                 columns[name + axis] = pa.array(pair[:, k], from_pandas=True)
         return {"images": pa.table(of_images), "points": pa.table(of_points), "residuals": pa.table(columns)}
 

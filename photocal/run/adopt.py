@@ -68,7 +68,7 @@ _AXES = ("X", "Y", "Z")
 
 
 def with_report(given: ForeignProject, path: Path) -> tuple[ForeignProject, QualityReport | None]:
-    """Find the report of a project; its check points take no part, and its sigmas stand beside ours."""
+    """Find the report of a project; its check points are not used, and its sigmas are given with ours."""
     family = _FAMILY.get(given.program, given.program)
     folder = path if path.is_dir() else path.parent
     report, refusals = report_of(folder.resolve(), lambda program: program == family)

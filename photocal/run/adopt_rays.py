@@ -147,7 +147,7 @@ def by_rays_alone(block: Block) -> Block:
 
 def _nearly_known(camera: Camera) -> Camera:
     """The camera with c, x0 and y0 within a hundredth of c: a level block alone does not determine them."""
-    # What a camera is known to while gross errors are sought, as a share of c.
+    # What a camera is known to during the search for gross errors, as a share of c.
     roughly = 0.01
     sigma = np.where(among("c", "x0", "y0"), roughly * camera.value("c"), camera.prior_sigma)
     return replace(camera, prior_sigma=np.minimum(sigma, camera.prior_sigma))

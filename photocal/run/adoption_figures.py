@@ -52,7 +52,7 @@ def head_figures(foreign: ForeignProject, result: Result) -> list[dict[str, Any]
                 key: {
                     "ours": value.value,
                     "sigma": value.sigma,
-                    # Turns count from the rotation that they have.
+                    # Turns are measured from the rotation that they have.
                     "difference": value.value - (given[head.camera][key] if key in "xyz" else 0.0),
                 }
                 for key, value in head.values.items()
@@ -254,7 +254,7 @@ def adoption_text(figures: dict[str, Any], say: Catalogue | None = None) -> str:
     if shift is not None and shift["estimated"]:
         both = ((shift["common_shift_m"][a], shift["sigma_m"][a]) for a in "xyz")
         text = joint.join(f"{value:+.3f} +- {sigma:.3f}" for value, sigma in both).replace(".", say.mark)
-        # A common shift of the positions is told as one of the datum from here on, in its standard
+        # A common shift of the positions is reported as one of the datum from here on, in its standard
         # deviations.
         shifted = 3.0
         large = any(abs(shift["common_shift_m"][a]) > shifted * shift["sigma_m"][a] for a in "xyz")

@@ -201,7 +201,7 @@ def _sorted_card(
 ) -> ChosenPictures | None:
     """Sort the pictures of a card; None where nothing is to be sorted, or the folder is no card."""
     paths = {where / image.name: image for where, some in pictures.items() for image in some}
-    # Lenses of one gimbal are told by names alone, too, where the folders of the card are gone.
+    # Lenses of one gimbal are distinguished by names alone, too, where the folders of the card are gone.
     gimbal = {"W", "V", "Z", "T"}
     several = len(gimbal & {_lens(path.name) for path in paths}) > 1
     inner = (part for path in paths for part in path.relative_to(folder).parts[:-1])

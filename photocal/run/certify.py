@@ -1,4 +1,4 @@
-"""The step `certificate`: of a run folder, with what stands beside it."""
+"""The step `certificate`: of a run folder, with the files next to it."""
 
 from dataclasses import dataclass
 from pathlib import Path

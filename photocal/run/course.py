@@ -112,7 +112,7 @@ class Course:
         as_expected_s = 0.5
         self._took = self._meant = as_expected_s + seen_s
         # What is usual for a stage is wrong as often as the speed of the machine: of a stage that takes four
-        # times as long, half is held against those after it. What a run before took is another matter.
+        # times as long, half is applied to those after it. What a run before took is another matter.
         self._trust = 1.0 if seen_s else 0.5
 
     def begin(self, stage: str, expected_s: float = 0.0) -> None:
@@ -222,7 +222,7 @@ def followed(course: Course, *listeners: Callable[[Standing], None]) -> Iterator
         told_every_s = 1.0
         while True:
             for listener in listeners:
-                # No work ends because it cannot be told how far it is.
+                # No work ends because its progress cannot be reported.
                 with suppress(OutputError, OSError):
                     listener(course.standing())
             if ended.wait(told_every_s):

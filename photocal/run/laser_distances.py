@@ -40,8 +40,8 @@ LaserTarget = tuple[Integers, float, float]
 def with_lasers(block: Block, facts: Sequence[ImageFacts]) -> tuple[Block, Finding]:
     """Make the laser distances of pictures observations of a block; as it is where they are too few.
 
-    The block is adjusted without them first: gross ones are told by what the others differ from its surface,
-    which a common error of heights does not change.
+    The block is adjusted without them first: gross ones are detected by what the others differ from its
+    surface, which a common error of heights does not change.
 
     raises PhotocalError: as `assemble` does.
     """

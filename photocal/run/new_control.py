@@ -43,12 +43,12 @@ HEIGHTS = ("ellipsoidal", "orthometric", "local")
 
 @dataclass
 class NewProject:
-    """A project that is written, with its control as it goes into it.
+    """A project that is written, with its control as written.
 
     path, changes: its file, and what has changed in one that was there.
     say: language of what is known, missing, doubtful and asked.
-    known, missing, doubtful, asked: what the folder has, what would help, what looks like a slip, and what
-        must be said before it can be run.
+    known, missing, doubtful, asked: what the folder has, what would help, what looks like a typing error, and
+        what must be said before it can be run.
     crs, height: empty where they are still to be said.
     height_is_assumed: nobody says it, and no figure depends on it.
     level: EPSG code of the system of heights that a table names.

@@ -35,7 +35,7 @@ from photocal.run.new_control import NewProject, settle
 from photocal.run.renewed_project import answered_height, differing, renewed, written_before
 
 PICTURES = "pictures.csv"
-# Positions of a receiver without corrections; their heights count from another surface than those of control.
+# Positions of a receiver without corrections; their heights refer to another surface than those of control.
 CODE_LEVEL_M = (1.5, 1.5, 3.0)
 # A camera of another c is another camera: this share of it, or so many sigmas of what the pictures say.
 UNLIKE, FAR_SIGMAS = 0.1, 3.0

@@ -133,14 +133,14 @@ def middle_of(placed: Sequence[ImageFacts]) -> tuple[float, float]:
 
 
 def _with_heights(crs: str, place: Place | None) -> str:
-    """Systems of heights that would say what orthometric ones count from."""
+    """Systems of heights that would say what orthometric ones refer to."""
     systems = [("3855", "EGM2008 height")] if place is None else heights_at(*place[:2])
     offers = " or ".join(f'"{crs}+{code}" ({name})' for code, name in systems)
     return f"name a compound system: {offers}; or {FREED}"
 
 
 def _check_inputs(project: Project) -> None:
-    """Open every table that a later stage reads: what is wrong with one is told now."""
+    """Open every table that a later stage reads: what is wrong with one is reported now."""
     control, certificate = project.control, project.contents.certificate
     if control.marks is not None and control.marks.exists():
         read_marks(control.marks)
@@ -322,7 +322,7 @@ def _neighbours(crs: str, latitude: float, longitude: float) -> Iterator[str]:
 
 
 def check_near(project: Project, control: ObjectPoints, places: Floats) -> None:
-    """Complain of control that no picture can show, for it lies beside all positions."""
+    """Complain of control that no picture can show, for it lies away from all positions."""
     places = places[np.isfinite(places).all(axis=1)]
     points = control.values[control.of_role("control")]
     if not len(places) or not len(points):

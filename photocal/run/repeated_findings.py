@@ -55,7 +55,7 @@ def repeated_findings(
     """
     say = say or catalogue("en")
     with tempfile.TemporaryDirectory(prefix="photocal-verify-") as name:
-        # Only what is certified takes part, whatever else lies beside it.
+        # Only what is certified is used, whatever else is in the folder.
         carry(run.result.inputs, source, Path(name))
         checked, refusal = _of_check(BlockSource(Path(name) / CARRIED, source.setup), done)
     found = {"calibration": tuple(calibration_findings(run.result))}

@@ -44,7 +44,7 @@ from photocal.run.stage import StageResult, is_stage
 _JUDGED_FROM_PERCENT = 200.0 / 3.0
 # What else looks like what the search for systematic errors blames: told instead of it.
 _EXCUSES = ("ppk-not-fixed",)
-# Stages in which causes are sought.
+# Stages that search for causes.
 _OF_CAUSES = ("georeferencing", "analysis")
 _ORDER = ("refused", "grave", "doubtful", "consequence", "note")
 _NOT_CHECKED = Finding("not-checked", "doubtful", stage="certificate")
@@ -134,7 +134,7 @@ def outdated(work: Path) -> bool:
 
 
 def kind(finding: Finding) -> str:
-    """Whether it tells a fault, what follows from faults that are told, or a limit of the flight."""
+    """Whether it tells a fault, what follows from faults that are reported, or a limit of the flight."""
     return finding.severity if finding.severity in ("consequence", "note") else "warning"
 
 
@@ -219,7 +219,7 @@ def _of_analysis(path: Path) -> Iterator[Finding]:
 
 
 def hidden_faults(findings: Iterable[Finding]) -> Iterator[Finding]:
-    """Give those findings of an analysis that are told with those of the stages."""
+    """Give those findings of an analysis that are reported with those of the stages."""
     yield from (finding for finding in findings if fault(finding.code) and not finding.small)
 
 

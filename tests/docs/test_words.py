@@ -1,4 +1,4 @@
-"""The words of the glossary: home-made phrases stand in no text that a user can see."""
+"""The words of the glossary: no text, comment or docstring has a home-made phrase."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import re
 
 import pytest
 
-from tests.docs.rooms import ROOT
-from tests.docs.texts_table import Text, in_page, in_python, texts
+from tests.docs.rooms import ROOT, modules
+from tests.docs.texts_table import Text, in_page, in_python, remarks, texts
 
 GLOSSARY = ROOT / "docs" / "nomenclature.md"
 # Columns of the tables of terms.
@@ -53,6 +53,25 @@ def test_an_inserted_phrase_is_seen(phrase: str) -> None:
     source = f'def f(n):\n    """No {phrase}."""\n    raise ValueError(f"The point {phrase} {{n}}")\n'
     found = [*in_python(source, "a.py"), *in_page(f"# Title\n\nSome words\n{phrase} a line\n", "a.md")]
     assert [one.split(": ")[0] for one in offences(found, banned())] == ["a.py:3", "a.md:3"]
+
+
+def test_no_comment_and_no_docstring_has_a_home_made_phrase() -> None:
+    listed = [
+        one
+        for path in modules().values()
+        for one in remarks(path.read_text(encoding="utf-8"), path.relative_to(ROOT).as_posix())
+    ]
+    assert offences(listed, banned()) == []
+
+
+@pytest.mark.parametrize("phrase", banned())
+def test_an_inserted_phrase_is_seen_in_comments_and_docstrings(phrase: str) -> None:
+    broken = phrase.replace(" ", "\n    # ", 1)
+    source = (
+        f'def f(n):\n    """No {phrase}.\n\n    sought: a name.\n    """\n\n    # A {broken}.\n    return n\n'
+    )
+    found = offences(list(remarks(source, "a.py")), banned())
+    assert [one.split(": ")[0] for one in found] == ["a.py:2", "a.py:7"]
 
 
 def test_every_kind_of_text_is_read() -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import ast
 import csv
+import io
 import json
 import re
 import sys
+import tokenize
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -21,6 +23,8 @@ _TOML_LINE = re.compile(r"""^\s*["\w.-]+\s*=\s*(["'])(.*)\1\s*$""")
 _JSON_TEXT = re.compile(r'("(?:\\.|[^"\\])*")(\s*:)?')
 _SCRIPT_TEXT = re.compile(r"""(["'`])((?:\\.|(?!\1)[^\\\n])*)\1""")
 _MARKUP_TEXT = re.compile(r'>([^<>{}]+)<|(?:title|placeholder|aria-label|alt)="([^"]+)"')
+# The names that a line of a docstring explains: code, not words.
+_NAMES = re.compile(r"^ *[a-z_]\w*(, [a-z_]\w*)*(?=:| \()", re.MULTILINE)
 # Their docstring is the help of a command.
 _COMMANDS = re.compile(r"(?:acquire|photocal)\.commands\.")
 
@@ -92,6 +96,24 @@ def in_python(source: str, file: str, commands: bool = False) -> Iterator[Text]:
             continue
         if _READ.search(text):
             yield Text(file, node.lineno, " ".join(text.split()))
+
+
+def remarks(source: str, file: str) -> Iterator[Text]:
+    """Find the remarks of a module: docstrings, and comments, of which lines in succession are one."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            words = _NAMES.sub("", str(node.value.value))
+            yield Text(file, node.lineno, " ".join(words.split()))
+    begun, last, gathered = 0, 0, list[str]()
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            if gathered and token.start[0] > last + 1:
+                yield Text(file, begun, " ".join(gathered))
+                gathered = []
+            begun, last = begun if gathered else token.start[0], token.start[0]
+            gathered.append(token.string.lstrip("# "))
+    if gathered:
+        yield Text(file, begun, " ".join(gathered))
 
 
 def _in_toml(source: str, file: str) -> Iterator[Text]:

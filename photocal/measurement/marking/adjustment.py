@@ -30,7 +30,7 @@ class AdjustedMarks:
         the two standardised residuals, None where the mark is not checked by others.
     orientation: improved where images took part.
     sigma0: A posteriori standard deviation of unit weight; None without redundancy.
-    left_out: images that take no part, with the marks of control points that they have and need.
+    left_out: images that are not used, with the marks of control points that they have and need.
     """
 
     residuals: tuple[dict[str, Any], ...]

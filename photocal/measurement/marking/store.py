@@ -202,7 +202,7 @@ class MarkStore:
 
 
 def write_marks(path: Path, marks: Iterable[Mark]) -> None:
-    """Write marks.csv, replacing it whole; without marks there is no file."""
+    """Write marks.csv, replacing it whole; without marks the file is removed."""
     rows = [(m.image, m.point, f"{m.x:.4f}", f"{m.y:.4f}", *(f"{s:.4f}" for s in m.sigma)) for m in marks]
     if not rows:
         # A table without rows looks cut to those who read it; a missing one says that nothing is marked.

@@ -1,4 +1,4 @@
-"""Tiles of large pictures at several scales: made when they are looked at, kept by content.
+"""Tiles of large pictures at several scales: made when they are viewed, kept by content.
 
 A pixel of level k covers 2^k by 2^k stored pixels, beginning with those of the upper-left corner. So its
 column j has its centre at the stored column 2^k j + (2^k - 1) / 2, in all formats.
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 TILE_PX = 512
 # Decoded levels are held until they are this many pixels together, 4 bytes each; one may be larger.
 HELD_PX = 80_000_000
-# Tiles on disk: about 40 pictures of 50 megapixels looked at all over, for a month.
+# Tiles on disk: about 40 pictures of 50 megapixels viewed all over, for a month.
 MOST_BYTES = 2_000_000_000
 UNUSED_S = 30 * 86_400.0
 _MANY_BITS = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")
