@@ -222,7 +222,11 @@ def spreadsheet(_: Rows) -> dict[tuple[str, str], str]:
             "points.csv has other places of G3 than gcp_list.txt",
             "points.csv tem coordenadas de G3 diferentes das de gcp_list.txt",
         ),
-        (spreadsheet, "pontos.xlsx: has no sheet and no layer that can be", "pontos.xlsx: não tem planilha nem"),
+        (
+            spreadsheet,
+            "pontos.xlsx: has no sheet and no layer that can be",
+            "pontos.xlsx: não tem planilha nem",
+        ),
         (lacking, "points without height: G2, G5; used in plan only", "sem altitude: G2, G5; usados só em"),
         (
             twofold,
