@@ -319,7 +319,7 @@ def analyse_network(
 
     draws: of the bootstrap over images: as many more adjustments.
     start: where the minimum is known to be near.
-    slips: what names the slips of the pen of a control point.
+    slips: what names the typing errors of a control point.
     done: gets the share of the work that was done since it was called last.
     raises IllPosedError, NotConvergedError: as the adjustment does.
     """

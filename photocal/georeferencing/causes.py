@@ -174,7 +174,7 @@ def causes_of(
 
 
 def typed_slips(typed: Block, names: Sequence[str], places: Floats, to_given: Place) -> Slips:
-    """What names the slips of the pen of a control point, from the coordinates that were typed.
+    """What names the typing errors of a control point, from the coordinates that were typed.
 
     names, places (n, 3): of the points where they were adjusted, and how these become coordinates as typed.
     """

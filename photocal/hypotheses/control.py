@@ -372,7 +372,7 @@ def _beside_others(
 
 
 def slips(given: Floats, wanted: Floats, sigma: Floats, system: str) -> tuple[str, ...]:
-    """Name the slips of the pen that made the given coordinates of the wanted ones; none that chance makes.
+    """Name the typing errors that made the given coordinates of the wanted ones; none that chance makes.
 
     A digit can be found for nearly every error: a slip is reported only where of random errors as large fewer
     than one in twenty would fit some slip as closely.

@@ -34,7 +34,7 @@ _GRAVE = ("c-drift", "rolling-shutter", "refraction", "earth-curvature")
 class Slips:
     """What coordinates were typed, to name what was done wrong with them; of nothing by default.
 
-    of_point: slips of the pen that made the coordinates of a point wrong, from its error and sigma, (3,) m.
+    of_point: typing errors that made the coordinates of a point wrong, from its error and sigma, (3,) m.
     combined_factor: metres on the map that make one on the ground, of the frame; NaN where it is no map.
     """
 

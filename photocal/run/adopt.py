@@ -50,7 +50,7 @@ from photocal.run.adopt_rays import (
     some_of,
     with_control,
     without_gross_rays,
-    without_what_hangs_loose,
+    without_weak_parts,
 )
 from photocal.run.adoption_figures import (
     camera_figures,
@@ -200,11 +200,11 @@ def adopt(
     step = steps(progress, path)
     with step("reading the project"):
         foreign, report = with_report(with_control(read_foreign_project(path), path, gcp), path)
-        foreign = without_what_hangs_loose(_freed(foreign))
+        foreign = without_weak_parts(_freed(foreign))
     source, run = output / "block", output / "calibration"
     output.mkdir(parents=True, exist_ok=True)
     with step("gross errors of the rays"):
-        foreign = without_what_hangs_loose(without_gross_rays(foreign, output))
+        foreign = without_weak_parts(without_gross_rays(foreign, output))
     try:
         foreign, block, result = _adjusted(foreign, output, step)
     except (IllPosedError, NotConvergedError) as refusal:

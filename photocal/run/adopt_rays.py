@@ -158,7 +158,7 @@ def some_of(names: Sequence[str]) -> str:
     return ", ".join(names[:MOST_NAMED]) + (" ..." if len(names) > MOST_NAMED else "")
 
 
-def without_what_hangs_loose(foreign: ForeignProject) -> ForeignProject:
+def without_weak_parts(foreign: ForeignProject) -> ForeignProject:
     """Leave out points with one ray or no parallax, and images whose pose their rays do not check."""
     lost, names, weak, heads = 0, list[str](), foreign.block, {c.id for c in foreign.block.cameras}
     weak, blind = _with_directions(weak)

@@ -101,7 +101,9 @@ def new_project(
         remedy = f"photocal new {folder} --again keeps your entries and adds new findings"
         raise OutputError("exists already", remedy, where=folder / there[0])
     for name, content in files.items():
-        write_file(folder / name, content)
+        # What stays as it is keeps its time: it makes no result out of date.
+        if name not in there or (folder / name).read_text(encoding="utf-8") != content:
+            write_file(folder / name, content)
     made.path, made.changes = folder / NAME, changes
     return made
 

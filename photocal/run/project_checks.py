@@ -282,7 +282,7 @@ def check_place(crs: str, control: ObjectPoints, files: tuple[Path | None, Path]
     for cause, where, north, east, system, there in tried:
         if (where is table or off[known].all()) and (_away(north, east, system, there) <= far).all():
             raise ConfigurationError(cause, f"then they fit {what}: correct it", where=where)
-    # Single slips of the pen are named beside the others' residuals.
+    # Single typing errors are named beside the others' residuals.
     if (usual := np.median(stated[known])) > far:
         raise wrong(
             f"the control points lie {usual / 1000:.0f} km from {what}, and no exchange of axes, signs, "

@@ -453,7 +453,7 @@ def _jump(later: Integers, give: Floats, count: int) -> tuple[Integers, Floats]:
 def findings(search: Search, slips: Slips = no_slips) -> tuple[Finding, ...]:
     """Turn a search into a list, causes first.
 
-    slips: what names the slips of the pen of a control point.
+    slips: what names the typing errors of a control point.
     """
     causes = cause_findings(search.causes, slips)
     listed = of_sigma(search)

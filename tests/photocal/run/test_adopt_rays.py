@@ -14,7 +14,7 @@ from photocal.exchange.foreign_project import ForeignProject
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.run.adopt_rays import LEAST_PARALLAX_PX, without_gross_rays, without_what_hangs_loose
+from photocal.run.adopt_rays import LEAST_PARALLAX_PX, without_gross_rays, without_weak_parts
 from tests.photocal.exchange.conftest import reconstruction_of, to_adjust, vision_camera, with_roles
 
 APART_M = 0.05
@@ -56,7 +56,7 @@ def test_points_without_parallax_are_left_out(apart_m: float, left: int) -> None
     block = beside(own(), apart_m, 7)
     count = np.bincount(block.observations.image)[-1]
     assert count == 7
-    given = without_what_hangs_loose(ForeignProject("Own", block))
+    given = without_weak_parts(ForeignProject("Own", block))
     near = [name for name in given.block.points.names if name.startswith("near")]
     assert len(near) == left
     told = f"7 points have a parallax below {LEAST_PARALLAX_PX:g} px: left out"
@@ -73,7 +73,7 @@ def test_a_head_without_rays_is_named_and_leaves_its_frame() -> None:
     # Three rays in each of its images.
     first = np.array([blind[k] and np.sum(seen.image[:k] == seen.image[k]) >= 3 for k in range(len(blind))])
     block = replace(block, heads=heads, observations=seen.rows(~first))
-    given = without_what_hangs_loose(ForeignProject("Own", block))
+    given = without_weak_parts(ForeignProject("Own", block))
     assert [camera.id for camera in given.block.cameras] == [block.cameras[0].id]
     assert not given.block.heads
     assert "no image of camera blind has 4 rays: the camera is left out" in given.remarks
@@ -89,7 +89,7 @@ def test_positions_of_images_that_stay_are_kept() -> None:
     keep = np.ones(len(seen.image), dtype=np.bool_)
     keep[few] = False
     given = ForeignProject("Own", replace(block, observations=seen.rows(keep)), place, place + 1)
-    left = without_what_hangs_loose(given)
+    left = without_weak_parts(given)
     assert block.images.names[2] not in left.block.images.names
     order = [block.images.names.index(name) for name in left.block.images.names]
     np.testing.assert_array_equal(left.position, place[order])

@@ -408,7 +408,10 @@ def test_again_keeps_what_a_person_wrote(pictures: Path, tmp_path: Path, photoca
     points = {mark.point for mark in read_marks(folder / "marks.csv")}
     assert points == {row.name for row in typed} | {"G6"}
     # Once more there is nothing to add.
+    before = {path: path.stat().st_mtime_ns for path in (folder / "project.toml", folder / "control.csv")}
     assert new(photocal, folder, "--again")["changed"] == []
+    # Results of what did not change stay up to date.
+    assert all(path.stat().st_mtime_ns == then for path, then in before.items())
 
 
 def test_again_names_points_that_the_list_now_has_elsewhere(
