@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -108,9 +109,9 @@ def test_a_base_that_stops_before_the_last_picture_is_named(acquire: Acquire, tm
     assert done.returncode == 0, done.stderr
     figures = json.loads(acquire("info", log, "--json").stdout)
     ends_s = next(link["span_ns"][1] for link in figures["links"] if link["link"] == "base") / 1e9
-    flight = mavutil.mavlink_connection(str(site / "vehicle.tlog"))
-    reported = iter(lambda: flight.recv_match(type="CAMERA_FEEDBACK"), None)
-    late = sum(picture._timestamp > ends_s for picture in reported)
+    with closing(mavutil.mavlink_connection(str(site / "vehicle.tlog"))) as flight:
+        reported = iter(lambda: flight.recv_match(type="CAMERA_FEEDBACK"), None)
+        late = sum(picture._timestamp > ends_s for picture in reported)
     assert 0 < late < 10
     assert not figures["verdict"]["complete"]
     assert f"base: no raw observations at {late} of 10 exposures" in acquire("info", log).stdout
