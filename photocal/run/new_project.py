@@ -32,7 +32,7 @@ from photocal.project import ASKED, NAME
 from photocal.run.camera_card import ChosenPictures, chosen_pictures
 from photocal.run.folder_survey import ASSUMED_M, FolderContents, named_as_checks, named_checks, survey
 from photocal.run.new_control import NewProject, settle
-from photocal.run.renewed_project import answered_height, differing, renewed, written_before
+from photocal.run.renewed_project import answered_height, differing, kept_text, renewed, written_before
 
 PICTURES = "pictures.csv"
 # Positions of a receiver without corrections; their heights refer to another surface than those of control.
@@ -102,7 +102,7 @@ def new_project(
         raise OutputError("exists already", remedy, where=folder / there[0])
     for name, content in files.items():
         # What stays as it is keeps its time: it makes no result out of date.
-        if name not in there or (folder / name).read_text(encoding="utf-8") != content:
+        if name not in there or kept_text(folder / name) != content:
             write_file(folder / name, content)
     made.path, made.changes = folder / NAME, changes
     return made

@@ -1,6 +1,8 @@
 """A project file made again: a person's answers and comments stay, what was found since is added."""
 
+import csv
 import difflib
+import io
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,6 +11,8 @@ import tomlkit
 from tomlkit.items import AoT, Table
 
 from photocal.base.codec import toml_document
+from photocal.base.files import rows_text
+from photocal.exchange.source import read_text
 from photocal.project import ASKED, NAME
 
 # What tells entries of a list of tables apart.
@@ -75,15 +79,23 @@ def differing(folder: Path, files: Mapping[str, str], moved: Collection[str] = (
     found = {}
     for name in files.keys() - {NAME, *moved}:
         if (folder / name).exists():
-            there = _places((folder / name).read_text(encoding="utf-8"))
-            now = _places(files[name])
+            there, now = _places(kept_text(folder / name)), _places(files[name])
             found[name] = [of for of in now.keys() & there.keys() if now[of] != there[of]]
     return {name: sorted({of[-1] for of in those}) for name, those in sorted(found.items()) if those}
 
 
+def kept_text(path: Path) -> str:
+    """Text of a table that a person may have saved by another program, in another encoding."""
+    return read_text(path, windows=True)
+
+
+def _cells(table: str) -> list[list[str]]:
+    return [row for row in csv.reader(io.StringIO(table)) if row]
+
+
 def _places(table: str) -> dict[tuple[str, ...], list[str]]:
     """Coordinates of points, or of marks, by their names; how many digits are written does not matter."""
-    head, *rows = (line.split(",") for line in table.splitlines())
+    head, *rows = _cells(table) or [[]]
     names = head.index("point") + 1 if "point" in head else len(head)
 
     def plain(cell: str) -> str:
@@ -117,14 +129,15 @@ def _rows(path: Path, content: str) -> tuple[str, list[str]]:
     """Rows of a table that is there, and those that are new behind them, by their first cells."""
     if not path.exists():
         return content, content.splitlines()[1:]
-    there = path.read_text(encoding="utf-8")
-    head, *rows = content.splitlines()
-    if there.splitlines()[:1] != [head]:
+    there = kept_text(path)
+    head, *rows = _cells(content)
+    kept = _cells(there)
+    if kept[:1] != [head]:
         return there, []
     # An image and a point name a mark, a point names a point.
-    names = 2 if head.startswith("image,point,") else 1
-    known = {tuple(row.split(",")[:names]) for row in there.splitlines()}
-    added = [row for row in rows if tuple(row.split(",")[:names]) not in known]
+    names = 2 if head[:2] == ["image", "point"] else 1
+    known = {tuple(row[:names]) for row in kept}
+    added = [rows_text(row, ()).rstrip("\n") for row in rows if tuple(row[:names]) not in known]
     return there.rstrip("\n") + "\n" + "".join(f"{row}\n" for row in added), added
 
 
@@ -133,7 +146,7 @@ def _moved(there: str, content: str) -> tuple[str, list[str]]:
 
     def what(row: str) -> tuple[str, ...]:
         """Image, point and sigmas: all but the place."""
-        cells = row.split(",")
+        (cells,) = _cells(row) or [[]]
         return (*cells[:2], *cells[4:])
 
     found = {what(row): row for row in content.splitlines()}

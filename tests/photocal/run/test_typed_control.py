@@ -432,3 +432,22 @@ def test_again_names_points_that_the_list_now_has_elsewhere(
     control.unlink()
     assert not [line for line in new(photocal, folder, "--again")["doubtful"] if "is kept" in line]
     assert row not in control.read_text().splitlines()
+
+
+def test_again_reads_tables_as_spreadsheets_save_them(
+    pictures: Path, tmp_path: Path, photocal: Photocal
+) -> None:
+    """Another encoding and quotes are the same table; an emptied one is refused in a line."""
+    folder = tmp_path / "f"
+    site_folder(pictures, folder, positions=True)
+    new(photocal, folder)
+    control = folder / "control.csv"
+    text = control.read_text()
+    control.write_text(text.replace("\nG1,", '\n"G1",'))
+    assert new(photocal, folder, "--again")["changed"] == []
+    control.write_bytes((text + "Ação,1.0,2.0,3.0,0.02,0.02,0.03,control\n").encode("latin-1"))
+    assert new(photocal, folder, "--again")["changed"] == []
+    control.write_bytes(b"")
+    refused = photocal("new", folder, "--again")
+    assert (refused.code, refused.err.count("\n")) == (3, 1)
+    assert "control.csv: is empty" in refused.err
