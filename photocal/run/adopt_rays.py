@@ -40,7 +40,7 @@ from photocal.measurement.marks import (
 )
 from photocal.measurement.tie_block import TIE, intersected, tracks_of, views_of
 from photocal.measurement.tracks import Tracks
-from photocal.run.folder_survey import ASSUMED_M
+from photocal.run.control_files import ASSUMED_M
 
 GROSS_RAYS = "rays-left-out.csv"
 # Control so many times farther than usual from where its rays meet would bend the block; so much is enough to

@@ -30,7 +30,8 @@ from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
 from photocal.run.camera_card import ChosenPictures, chosen_pictures
-from photocal.run.folder_survey import ASSUMED_M, FolderContents, named_as_checks, named_checks, survey
+from photocal.run.control_files import ASSUMED_M, named_as_checks, named_checks
+from photocal.run.folder_survey import FolderContents, survey
 from photocal.run.new_control import NewProject, settle
 from photocal.run.renewed_project import answered_height, differing, kept_text, renewed, written_before
 

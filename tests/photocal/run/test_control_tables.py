@@ -14,7 +14,7 @@ from pyproj import CRS, Transformer
 from photocal.findings.texts import catalogue
 from photocal.measurement.marks import read_marks
 from photocal.measurement.place_tables import read_places
-from photocal.run.folder_survey import HEADS
+from photocal.run.control_files import HEADS
 from tests.photocal.run.test_exported_tables import Photocal
 from tests.photocal.run.test_new_project import picture
 
