@@ -1,6 +1,6 @@
 // The window: rail of steps, routes in the hash, texts in two languages, and the command line of each action.
 
-import { fill, h, sign } from "./dom.js";
+import { fill, h, said, sign } from "./dom.js";
 
 // Each step is a module with mount(element, context); it may return { leave() } and { route(parts) }.
 const STEPS = ["folder", "check", "run", "look", "certificate"];
@@ -16,6 +16,8 @@ const texts = {};
 let language = chosenLanguage();
 let state = { steps: {} };
 let shown = { name: "", mounted: null };
+// Whether this window has asked for another folder, until it knows how that stands.
+let opening = false;
 
 function chosenLanguage() {
   const kept = localStorage.getItem("language");
@@ -82,6 +84,7 @@ function contextOf(here) {
     post(path, value = {}) {
       // What is meant for one folder is never done in another, which a second window may have opened.
       const meant = ANYWHERE.has(path) || !state.folder ? {} : { "photocal-folder": encodeURIComponent(state.folder) };
+      opening ||= path === "/api/open";
       const asked = answered(fetch(path, { method: "POST", headers: { "content-type": "application/json", ...meant }, body: JSON.stringify(value) }));
       // What was begun before one left changes how the steps stand all the same.
       asked.finally(() => here() || renew()).catch(() => {});
@@ -122,7 +125,11 @@ async function renew() {
   state = await answered(fetch("/api/desk"));
   rail();
   // Another folder is open, here or by a second window: what is shown belongs to the one before.
-  if (shown.name && before !== state.folder) route(true);
+  if (shown.name && before !== state.folder) {
+    const told = opening ? [] : [said("warn", h("p", { role: "alert" }, say("desk.other", { name: state.title ?? "" })))];
+    route(true).then(() => document.getElementById("step").prepend(...told)).catch(() => {});
+  }
+  opening = false;
   return state;
 }
 

@@ -65,6 +65,8 @@ def test_what_is_meant_for_one_folder_is_not_done_in_another(
     at(page, served, "folder")
     name = page.get_by_label("Name", exact=True)
     expect(name).to_have_value("site")
+    # What the step asks when it begins is answered for the first folder.
+    page.wait_for_load_state("networkidle")
     before = (folder / "second" / "project.toml").read_bytes()
     # The second window.
     served.post("/api/open", {"path": "second"})
@@ -76,6 +78,13 @@ def test_what_is_meant_for_one_folder_is_not_done_in_another(
     assert (folder / "second" / "project.toml").read_bytes() == before
     page.get_by_role("link", name="Run").click()
     expect(page.locator("#rail .title span")).to_have_text("second")
+    # From now on what is typed belongs there, which is said.
+    expect(page.locator("main > .said [role=alert]")).to_contain_text("opened this folder, second")
+    page.get_by_role("link", name="Folder").click()
+    page.get_by_role("button", name="one folder up").click()
+    page.get_by_role("button", name="first").click()
+    expect(page.locator("#rail .title span")).to_have_text("first")
+    expect(page.locator("main > .said")).to_have_count(0)
 
 
 def test_what_was_done_before_a_change_of_the_project_is_out_of_date(served: Client, folder: Path) -> None:
