@@ -21,14 +21,18 @@ from photocal.findings.texts import Catalogue, finding_json, plain, remedy_text,
 
 # May a block be mapped with, may a camera be carried to other flights. Not placed: the datum is inner
 # constraints. Held: nothing of the camera was estimated. On positions: nothing else places the block, or
-# tests where it lies. On heights: c cannot be separated from a shift of them.
-Answer = Literal["yes", "on-positions", "on-heights", "reserved", "no", "not-placed", "held", "unknown"]
+# tests where it lies. On heights: c cannot be separated from a shift of them. Except c: c was held, or is weak.
+Answer = Literal[
+    "yes", "on-positions", "on-heights", "except-c", "reserved", "no", "not-placed", "held", "unknown"
+]
 # Whoever reads more than that reads nothing; so many that are alike are one line, fewer each say their own.
 MOST_LINES, ALIKE = 7, 3
 # Causes that no camera can have estimated that was held because the block does not bear it.
 _ESTIMATED = ("principal-distance", "principal-point")
 # A block that positions alone place, and that nothing tests.
 _UNTESTED = {"no-control", "no-check-points"}
+# Whose c is weak.
+_WEAK = ("weak_principal_distance", "weak_principal_distance_shape")
 # What the flight itself leaves open.
 _OPEN = ("not-separated", "not-determined")
 # What each method of georeferencing shows of one matter.
@@ -165,11 +169,19 @@ def _of_block(deciding: Sequence[Finding], listed: Iterable[Finding]) -> Answer:
 
 
 def _of_camera(deciding: Sequence[Finding], listed: Iterable[Finding]) -> Answer:
-    """Whether other flights may use the camera; the answer says if heights of positions determine c."""
+    """Whether other flights may use the camera; the answer says if they may not use c, or what determines it."""
     answer = _answer(deciding, _OF_BLOCK)
+    if answer == "reserved" and any(map(_leaves_c_open, deciding)):
+        return "except-c"
     terms = (f.figures.get("terms") for f in listed if f.code in _OPEN)
     of_heights = any(isinstance(of, list | tuple) and "c" in of for of in terms)
     return "on-heights" if answer == "yes" and of_heights else answer
+
+
+def _leaves_c_open(finding: Finding) -> bool:
+    """Whether a flight does not determine the principal distance: it is weak, or held as given."""
+    names = finding.figures.get("names") if finding.code == "camera-held" else None
+    return finding.code in _WEAK or (isinstance(names, list | tuple) and "c" in names)
 
 
 def alike_findings(findings: Iterable[Finding]) -> dict[tuple[str, str], list[Finding]]:

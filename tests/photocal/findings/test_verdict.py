@@ -188,6 +188,25 @@ def test_what_only_a_carried_camera_feels_does_not_touch_the_block() -> None:
     assert judge([Finding("lever-arm", "grave")]).camera == "no"
 
 
+@pytest.mark.parametrize(
+    ("finding", "answer"),
+    [
+        (Finding("camera-held", "doubtful", "cam", {"names": ("c", "x0")}), "except-c"),
+        (Finding("camera-held", "doubtful", "cam", {"names": ("K3",)}), "reserved"),
+        (Finding("weak_principal_distance", "doubtful", "c", {"percent": 6.1}), "except-c"),
+        (Finding("camera-held", "consequence", "cam", {"names": ("c",)}), "except-c"),
+    ],
+)
+def test_a_principal_distance_that_the_flight_leaves_open_is_not_carried(
+    finding: Finding, answer: str
+) -> None:
+    stored = json.loads(json.dumps([finding_json(finding, EN)]))
+    for found in ([finding], list(findings_of(stored, "calibration.json"))):
+        made = judge(found)
+        assert (made.camera, made.block, made.outcome.code) == (answer, "yes", "usable-with-reservations")
+        assert ("except its principal distance" in headline(made, EN)) == (answer == "except-c")
+
+
 def test_a_free_block_is_calibrated_and_not_placed() -> None:
     made = judge([], placed=False)
     assert (made.block, made.camera) == ("not-placed", "yes")
