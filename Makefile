@@ -127,7 +127,7 @@ lock:
 	rm -rf .lock-venv
 
 # Rooms that are fast and together use every dependency. Packages of then warn about those of today.
-LOWEST ?= tests/drivers tests/acquire/importing tests/photocal/block tests/photocal/geometry tests/photocal/accuracy \
+LOWEST ?= tests/drivers tests/acquire/importing tests/photocal/block tests/photocal/geometry tests/photocal/analysis/accuracy \
 	tests/photocal/exchange tests/photocal/commands/test_adjust_errors.py tests/photocal/report/test_forgery.py
 lowest:
 	$(PYTHON) -m venv --clear .lowest-venv

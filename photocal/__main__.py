@@ -1,5 +1,5 @@
 """`python -m photocal`: the command, where no script is on the path."""
 
-from photocal.cli import main
+from photocal.commands.cli import main
 
 main()

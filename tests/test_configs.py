@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from acquire.recording.configuration import read_configuration
-from photocal.accuracy.standard import ScaleStandard, load_standard
+from photocal.analysis.accuracy.standard import ScaleStandard, load_standard
 from photocal.analysis.stability.camera_file import read_camera_file
-from photocal.project import RigSettings
+from photocal.block.project import RigSettings
 from photocal.report.certificate_metadata import read_particulars
-from photocal.studies.study import shipped
+from photocal.report.studies.study import shipped
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 CAMERAS, RIGS = sorted((CONFIGS / "cameras").glob("*.toml")), sorted((CONFIGS / "rigs").glob("*.toml"))

@@ -11,7 +11,7 @@ import pytest
 
 from acquire.cli import app as acquire_app
 from photocal.base.sentences import help_texts, read_texts
-from photocal.cli import app as photocal_app
+from photocal.commands.cli import app as photocal_app
 from tests.docs.command_pages import Command, commands
 from tests.photocal.commands.test_help_and_language import HEAVY
 from tests.programs import called

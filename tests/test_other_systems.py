@@ -40,7 +40,7 @@ for name in modules():
     if not name.endswith("__main__"):
         importlib.import_module(name)
 from pathlib import Path
-from photocal.cli import app
+from photocal.commands.cli import app
 from typer.testing import CliRunner
 def call(*words):
     answer = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)

@@ -9,6 +9,10 @@ from typing import Any
 import numpy as np
 
 from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
+from photocal.analysis.georeferencing.causes import slips_of
+from photocal.analysis.georeferencing.comparison import exposure_difference
+from photocal.analysis.georeferencing.direct import direct_orientation
+from photocal.analysis.georeferencing.methods import in_local_frame
 from photocal.analysis.left_out import Checks
 from photocal.analysis.outcome import ANALYSIS, Analysis, ExteriorDifference, Outcome, analyse_network
 from photocal.base.arrays import as_plain
@@ -17,18 +21,14 @@ from photocal.base.files import digest, output_file, write_json
 from photocal.base.policy import policy
 from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock, assemble, block_frame
+from photocal.block.results.adjusted import adjust_network, network_of, state_of
+from photocal.block.results.folder import RESULT, block_of_run, read_result
+from photocal.block.results.result import Result
 from photocal.exchange.formats import read_any_block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_text, need_words, plain
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import angles_from_matrix
-from photocal.georeferencing.causes import slips_of
-from photocal.georeferencing.comparison import exposure_difference
-from photocal.georeferencing.direct import direct_orientation
-from photocal.georeferencing.methods import in_local_frame
-from photocal.results.adjusted import adjust_network, network_of, state_of
-from photocal.results.folder import RESULT, block_of_run, read_result
-from photocal.results.result import Result
 
 
 def analysis_record(analysis: Analysis, say: Catalogue) -> dict[str, Any]:

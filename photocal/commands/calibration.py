@@ -62,11 +62,11 @@ def adjust(
     Example: `photocal adjust my-block -o run`
     """
     from photocal.base.compiled import compile_ahead
+    from photocal.block.results.adjusted import adjust_block
+    from photocal.block.results.folder import result_json
+    from photocal.block.results.more_tables import Wanted, parse_joint
     from photocal.exchange.formats import read_any_block
     from photocal.findings.texts import catalogue, spoken
-    from photocal.results.adjusted import adjust_block
-    from photocal.results.folder import result_json
-    from photocal.results.more_tables import Wanted, parse_joint
 
     if snoop not in ("", "w", "tau"):
         raise ConfigurationError(f"--snoop {snoop} is not known", "use w or tau")
@@ -129,6 +129,7 @@ def analyse(
     `photocal analyse iop.csv --matrix correlations.csv --degrees-of-freedom 2470`
     """
     from photocal.analysis.analyse_run import analyse_block, analyse_run, analysis_record
+    from photocal.block.results.folder import RESULT
     from photocal.exchange.formats import read_any_block
     from photocal.findings.document import text
     from photocal.findings.texts import catalogue, spoken
@@ -137,7 +138,6 @@ def analyse(
     from photocal.report.analysis_sections import published as of_published
     from photocal.report.certificate import overall
     from photocal.report.stored_analysis import read_run
-    from photocal.results.folder import RESULT
     from photocal.run.summary import stage_findings
 
     # What is stored and scripted stays as it is wherever it is made.

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from photocal.accuracy.options import JudgementOptions, MapOptions
+from photocal.analysis.accuracy.options import JudgementOptions, MapOptions
+from photocal.analysis.georeferencing.options import RepetitionOptions
 from photocal.base.console import (
     AsJson,
     Details,
@@ -25,19 +26,18 @@ from photocal.base.console import (
 from photocal.base.errors import ConfigurationError
 from photocal.base.options import Option, Options
 from photocal.base.progress import quiet
-from photocal.georeferencing.options import RepetitionOptions
 from photocal.products.options import ProductOptions
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from photocal.accuracy.discrepancies import Discrepancies
-    from photocal.accuracy.standard import Question, Standard
+    from photocal.analysis.accuracy.discrepancies import Discrepancies
+    from photocal.analysis.accuracy.standard import Question, Standard
+    from photocal.analysis.georeferencing.methods import Degradation
+    from photocal.block.project import Project
     from photocal.findings.texts import Catalogue
     from photocal.geometry.camera import Camera
-    from photocal.georeferencing.methods import Degradation
     from photocal.products.product_check import ProductCheck
-    from photocal.project import Project
 
 
 @dataclass(frozen=True)
@@ -106,9 +106,9 @@ def judge_product(
     told: Told,
 ) -> Judged:
     """Judge a table of discrepancies, or what an orthomosaic and a terrain model say at the check points."""
-    from photocal.accuracy.assessment import assess
-    from photocal.accuracy.discrepancies import Discrepancies
-    from photocal.accuracy.output import to_json, to_text
+    from photocal.analysis.accuracy.assessment import assess
+    from photocal.analysis.accuracy.discrepancies import Discrepancies
+    from photocal.analysis.accuracy.output import to_json, to_text
     from photocal.base.arrays import as_plain
 
     more: dict[str, object] = {}
@@ -118,13 +118,13 @@ def judge_product(
         more, product = {"likeness": likeness, "remarks": list(remarks)}, product.discrepancies
     result = assess(product, standards, question)
     if maps.figures is not None:
-        from photocal.accuracy.maps import check_figures, save_figures
+        from photocal.analysis.accuracy.maps import check_figures, save_figures
         from photocal.base.files import output_folder
 
         with output_folder(maps.figures) as aside:
             save_figures(aside, check_figures(result.discrepancies, question.gsd_m, told.say))
     if maps.geopackage is not None:
-        from photocal.accuracy.maps import reference_system, write_geopackage
+        from photocal.analysis.accuracy.maps import reference_system, write_geopackage
         from photocal.base.geopackage import changed_utc
 
         system = reference_system(maps.crs)
@@ -134,8 +134,8 @@ def judge_product(
 
 def judge_moments(path: Path, standards: tuple[Standard, ...], question: Question, say: Catalogue) -> Judged:
     """Judge products of which only moments were printed."""
-    from photocal.accuracy.assessment import assess_moments
-    from photocal.accuracy.output import moments_record, moments_text, read_moments
+    from photocal.analysis.accuracy.assessment import assess_moments
+    from photocal.analysis.accuracy.output import moments_record, moments_text, read_moments
 
     made = {name: assess_moments(one, standards, question) for name, one in read_moments(path).items()}
     return moments_record(made), moments_text(made, say)
@@ -143,7 +143,12 @@ def judge_moments(path: Path, standards: tuple[Standard, ...], question: Questio
 
 def judge_variance(path: Path, say: Catalogue) -> Judged:
     """Tell which factors of a printed experiment move its errors."""
-    from photocal.accuracy.variance_analysis import SCHEMA, analyse_table, variance_record, variance_text
+    from photocal.analysis.accuracy.variance_analysis import (
+        SCHEMA,
+        analyse_table,
+        variance_record,
+        variance_text,
+    )
 
     analysed = analyse_table(path)
     return {"schema": SCHEMA, "variance": variance_record(analysed)}, variance_text(analysed, say)
@@ -161,14 +166,14 @@ def judge_block(
     told: Told,
 ) -> Judged:
     """Georeference a block three ways and judge it."""
-    from photocal.accuracy.maps import reference_system
+    from photocal.analysis.accuracy.maps import reference_system
+    from photocal.analysis.georeferencing.comparison import check_block
+    from photocal.analysis.georeferencing.methods import METHODS, with_shutters
+    from photocal.analysis.georeferencing.output import to_json, to_text
     from photocal.exchange.formats import read_any_block
     from photocal.findings.finding import Finding
     from photocal.findings.texts import finding_json, finding_text, plain
     from photocal.findings.verdict import verdict_json
-    from photocal.georeferencing.comparison import check_block
-    from photocal.georeferencing.methods import METHODS, with_shutters
-    from photocal.georeferencing.output import to_json, to_text
     from photocal.run.stage import is_stage
     from photocal.run.summary import outdated, project_verdict
 
@@ -191,8 +196,8 @@ def judge_block(
         content["findings"].append(finding_json(note, told.stored))
         text += f"\n{finding_text(note, told.say, plain)}"
     if output is not None:
+        from photocal.analysis.georeferencing.output import write_check
         from photocal.base.geopackage import changed_utc
-        from photocal.georeferencing.output import write_check
 
         system = system or reference_system(None if read.frame == "local" else read.frame)
         write_check(result, content, output, system, changed_utc(source), final, told.stored)
@@ -203,7 +208,7 @@ def with_project(path: Path, question: Question) -> tuple[Project, Question]:
     """Bring the block of a project up to date; what the command line does not ask, the project does."""
     import datetime as dt
 
-    from photocal.project import read_project
+    from photocal.block.project import read_project
     from photocal.run.campaign import run_project
     from photocal.run.georeferencing import question_of
 
@@ -215,9 +220,9 @@ def with_project(path: Path, question: Question) -> tuple[Project, Question]:
 
 def judge_experiment(path: Path, output: Path | None, told: Told) -> Judged:
     """Run an experiment with interior orientations and control patterns."""
+    from photocal.analysis.georeferencing.experiment import read_experiment, run_experiment
+    from photocal.analysis.georeferencing.experiment_output import to_json, to_text, write_experiment
     from photocal.exchange.formats import read_any_block
-    from photocal.georeferencing.experiment import read_experiment, run_experiment
-    from photocal.georeferencing.experiment_output import to_json, to_text, write_experiment
 
     asked = read_experiment(path, read_any_block, _interiors)
     with progress("running", None) as advance:
@@ -229,11 +234,11 @@ def judge_experiment(path: Path, output: Path | None, told: Told) -> Judged:
 
 def judge_numbers(source: Path, counts: str, output: Path | None, told: Told) -> Judged:
     """Repeat the adjustment with several numbers of control points."""
-    from photocal.accuracy.maps import save_figures
+    from photocal.analysis.accuracy.maps import save_figures
+    from photocal.analysis.georeferencing.experiment import control_numbers, numbers_text
+    from photocal.analysis.georeferencing.experiment_output import control_plot
     from photocal.base.files import output_folder, write_json
     from photocal.exchange.formats import read_any_block
-    from photocal.georeferencing.experiment import control_numbers, numbers_text
-    from photocal.georeferencing.experiment_output import control_plot
 
     try:
         numbers = [int(part) for part in counts.split(",")]
@@ -320,7 +325,7 @@ def check(
     elif other.variance is not None:
         judged = judge_variance(other.variance, told.say)
     elif other.discrepancies is not None:
-        from photocal.accuracy.discrepancies import read_discrepancies
+        from photocal.analysis.accuracy.discrepancies import read_discrepancies
 
         table = read_discrepancies(other.discrepancies)
         judged = judge_product(table, other.discrepancies, standards, question, at, told)
@@ -340,7 +345,7 @@ def _of_block(
     repetition: RepetitionOptions,
     told: Told,
 ) -> Judged:
-    from photocal.project import is_project
+    from photocal.block.project import is_project
 
     question, on_the_job = judgement.question(), is_project(block)
     if on_the_job:
@@ -374,7 +379,7 @@ def rover_test(
 
     Example: `photocal rover-test sets.csv --distance 12.345 --height-difference 0.214 --sigma 0.010,0.015`
     """
-    from photocal.accuracy import rover_test as test
+    from photocal.analysis.accuracy import rover_test as test
     from photocal.findings.texts import catalogue, spoken
 
     form = "PLANE,HEIGHT: metres, such as 0.010,0.015"

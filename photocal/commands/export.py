@@ -34,11 +34,11 @@ def export(
     """
     from photocal.base.files import output_folder
     from photocal.base.geodesy import GeodeticPlace
+    from photocal.block.results.adjusted_block import adjusted_block
+    from photocal.block.results.folder import read_result
     from photocal.exchange.exporting import Choices, middle
     from photocal.exchange.formats import named
     from photocal.findings.texts import catalogue, spoken
-    from photocal.results.adjusted_block import adjusted_block
-    from photocal.results.folder import read_result
 
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
     if angle_unit not in ("", "deg", "gon"):

@@ -62,7 +62,7 @@ def _scene(
         raise ConfigurationError("what to mark is not clear", "give PROJECT.toml or --images FOLDER")
     with progress("reading images", None):
         if project is not None:
-            from photocal.project import read_project
+            from photocal.block.project import read_project
 
             if points is not None or output is not None:
                 raise ConfigurationError(
@@ -97,8 +97,8 @@ def _show(
 ) -> None:
     from photocal.base.operating_system import cache_folder, stopped_by_signals, wait_until
     from photocal.base.web import read_address, serving
+    from photocal.block.project import NAME
     from photocal.desk.standing import application, marking_application
-    from photocal.project import NAME
 
     stop = stopped_by_signals()
     for name, picture in scene.pictures.items():

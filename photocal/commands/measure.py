@@ -49,7 +49,7 @@ def measure(
     record = _written(project, images or Path(), options, output)
     adjusted = []
     if options.run is not None and options.field:
-        from photocal.results.adjusted import adjust_block
+        from photocal.block.results.adjusted import adjust_block
 
         adjusted = [adjust_block(output, options.run).text(say)]
     answer(as_json, lambda: record, lambda: "\n".join([*_text(record, output, say), *adjusted]))
@@ -58,10 +58,10 @@ def measure(
 def _written(project: Path | None, images: Path, options: MeasureOptions, output: Path) -> dict[str, Any]:
     """Measure and write; images that cannot be oriented cost nobody the minutes of measuring."""
     from photocal.base.files import output_folder
+    from photocal.block.project import read_project
     from photocal.measurement.measurement_record import SCHEMA, MeasuredBlock
     from photocal.measurement.oriented_ties import UnorientedError
     from photocal.measurement.picture_block import measure as measured_pictures
-    from photocal.project import read_project
 
     refused = None
     try:

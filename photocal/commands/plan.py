@@ -107,9 +107,9 @@ def flown(
     """
     from math import nan
 
+    from photocal.block.project import is_project, read_project
     from photocal.findings.texts import catalogue, spoken
     from photocal.planning.flown_output import flown_text
-    from photocal.project import is_project, read_project
     from photocal.run.flown import measure_flown
 
     if is_project(block):

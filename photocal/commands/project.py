@@ -22,8 +22,8 @@ from photocal.base.console import (
 )
 
 if TYPE_CHECKING:
-    from photocal.debrief.verdict import Debrief
     from photocal.geometry.camera import Camera
+    from photocal.run.debrief.verdict import Debrief
 
 
 def new(
@@ -172,17 +172,17 @@ def debrief(
     """
     import os
 
-    from photocal.debrief.verdict import debrief as judged
-    from photocal.debrief.verdict import debrief_json, debrief_text
+    from photocal.block.project import read_project
     from photocal.findings.texts import catalogue, finding_text, spoken
-    from photocal.project import read_project
+    from photocal.run.debrief.verdict import debrief as judged
+    from photocal.run.debrief.verdict import debrief_json, debrief_text
 
     file = project / "project.toml" if project.is_dir() else project
     say, last = catalogue(spoken(language)), () if since is None else _cameras(since)
     known, crew = read_project(file), workers or os.cpu_count() or 1
     if live:
         from photocal.base.operating_system import stopped_by_signals
-        from photocal.debrief.live import follow
+        from photocal.run.debrief.live import follow
 
         def report(so_far: "Debrief") -> None:
             """Say the verdict so far, while the flight is still being read."""
@@ -197,7 +197,7 @@ def debrief(
 def _cameras(since: Path) -> "tuple[Camera, ...]":
     """Cameras of a run folder or of a file of cameras."""
     from photocal.analysis.stability.camera_file import read_camera_file
-    from photocal.results.folder import read_result
+    from photocal.block.results.folder import read_result
 
     if since.is_dir():
         return tuple(read_result(since).cameras.values())

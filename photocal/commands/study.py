@@ -28,7 +28,7 @@ def study(
     Example: `photocal study ixus220 -o ixus220`
     """
     from photocal.findings.texts import catalogue, spoken
-    from photocal.studies.study import read_study, shipped, study_folder
+    from photocal.report.studies.study import read_study, shipped, study_folder
 
     say = catalogue(spoken(language))
     if name is None:
@@ -42,7 +42,7 @@ def study(
             ),
         )
         return
-    from photocal.studies.comparison import as_record, as_text, repeat_study
+    from photocal.report.studies.comparison import as_record, as_text, repeat_study
 
     source = study_folder(name)
     folder = output or Path(source.name)

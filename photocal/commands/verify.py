@@ -311,9 +311,9 @@ def _repeat(
 
     returns: changed inputs, other figures, pages that say something else, and what was found again.
     """
+    from photocal.block.results.folder import CARRIED, BlockSource, changed_inputs
     from photocal.report import verification
     from photocal.report.issue import certified_result
-    from photocal.results.folder import CARRIED, BlockSource, changed_inputs
     from photocal.run.repeated_findings import repeated_findings
 
     if block is None and not (folder / CARRIED).is_dir():

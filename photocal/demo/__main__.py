@@ -15,8 +15,8 @@ app = application("Demonstrations: a simulated flight with known truth, a camera
 
 def calibrate(block: Path, output: Path) -> None:
     """Adjust a block into `run` and write its `certificate`, which prints what it says."""
+    from photocal.block.results.adjusted import adjust_block
     from photocal.report.options import CertificateOptions
-    from photocal.results.adjusted import adjust_block
     from photocal.run.certify import certificate
 
     adjust_block(block, output / "run")

@@ -18,8 +18,8 @@ import typer
 from photocal.base.console import progress
 from photocal.base.errors import DeviceError
 from photocal.base.operating_system import CHILD_FLAGS, interrupt
-from photocal.results.folder import read_result
-from photocal.results.result import Result
+from photocal.block.results.folder import read_result
+from photocal.block.results.result import Result
 
 _WITHIN = 3.0
 _ACQUIRE = (sys.executable, "-c", "from acquire.cli import main; main()")

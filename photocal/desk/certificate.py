@@ -25,17 +25,17 @@ from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.base.files import output_file
 from photocal.base.web import calling, checked, doing, short_body, telling
+from photocal.block.project import Project
+from photocal.block.results.folder import RESULT
 from photocal.desk import project_file
 from photocal.desk.folder import pictures
 from photocal.desk.jobs import asked
 from photocal.desk.session import Desk
 from photocal.findings.texts import catalogue
 from photocal.findings.verdict import read_verdict, verdict_text
-from photocal.project import Project
 from photocal.report.certificate_metadata import Form, read_particulars
 from photocal.report.keys import own_key
 from photocal.report.signing import SIGNATURE
-from photocal.results.folder import RESULT
 from photocal.run.stage import made_in
 
 if TYPE_CHECKING:

@@ -82,7 +82,7 @@ def _check(desk: Desk) -> dict[str, Any]:
 def debrief(desk: Desk) -> dict[str, Any] | None:
     """What the debrief has written, as far as it is there, in the language of the window."""
     # It computes, too: the window is there before it.
-    from photocal.debrief.verdict import measured_text
+    from photocal.run.debrief.verdict import measured_text
 
     try:
         path = desk.project().output / _DEBRIEF

@@ -19,12 +19,12 @@ from photocal.base.files import write_file
 from photocal.base.web import calling, doing, finding, telling
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, ROLES
+from photocal.block.project import ASKED, NAME
 from photocal.desk import project_file
 from photocal.desk.jobs import FOLDER, asked
 from photocal.desk.session import Desk
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES, list_images
-from photocal.project import ASKED, NAME
 from photocal.run.stage import MEMORY
 
 # What `photocal new` has said, kept for a window that is opened again.

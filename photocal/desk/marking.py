@@ -13,8 +13,8 @@ from photocal.base.web import doing, finding, telling
 from photocal.desk.session import Desk
 
 if TYPE_CHECKING:
+    from photocal.block.project import Project
     from photocal.measurement.marking.service import MarkingService
-    from photocal.project import Project
 
 Service = Callable[[], "MarkingService"]
 
@@ -55,7 +55,7 @@ class OpenMarking:
 
 def _known(project: Project) -> object:
     """What changes when points, pictures or orientations are others."""
-    from photocal.results.folder import RESULT
+    from photocal.block.results.folder import RESULT
 
     work, folder = project.output, project.picture_folder
     read = (

@@ -14,8 +14,8 @@ from photocal.base.codec import toml_document
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.base.files import rows_text, write_file
 from photocal.block.model import ROLES
+from photocal.block.project import ASKED, Contents
 from photocal.findings.texts import catalogue
-from photocal.project import ASKED, Contents
 
 # Tables of points that are no larger than this are shown point by point.
 MOST_POINTS = 2000

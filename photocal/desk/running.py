@@ -11,11 +11,11 @@ from starlette.routing import BaseRoute
 from photocal.base.codec import kept_json
 from photocal.base.errors import PhotocalError
 from photocal.base.web import calling, doing, telling
+from photocal.block.project import Project
 from photocal.desk.certificate import issued_as
 from photocal.desk.jobs import DEBRIEF, RUN
 from photocal.desk.project_file import with_field
 from photocal.desk.session import Desk
-from photocal.project import Project
 from photocal.run.output_place import STAGES
 from photocal.run.stage import RECORD, made_in
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from photocal.base.errors import InputNotFoundError
+from photocal.block.project import NAME, Project, read_project
 from photocal.desk.jobs import Job
-from photocal.project import NAME, Project, read_project
 
 
 class Desk:

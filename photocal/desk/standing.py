@@ -19,13 +19,13 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.base.web import calling, doing, folder_of, refusing, telling
+from photocal.block.project import Project
 from photocal.desk import certificate, checks, folder, look, marking, record, running, tiles
 from photocal.desk.jobs import RUN
 from photocal.desk.session import Desk
 from photocal.findings.texts import catalogue
 from photocal.measurement.marking.service import MarkingService
 from photocal.measurement.marking.store import MarkStore, Scene
-from photocal.project import Project
 from photocal.run.stage import MEMORY
 
 Stands = dict[str, str]

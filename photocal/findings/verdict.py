@@ -21,7 +21,8 @@ from photocal.findings.texts import Catalogue, finding_json, plain, remedy_text,
 
 # May a block be mapped with, may a camera be carried to other flights. Not placed: the datum is inner
 # constraints. Held: nothing of the camera was estimated. On positions: nothing else places the block, or
-# tests where it lies. On heights: c cannot be separated from a shift of them. Except c: c was held, or is weak.
+# tests where it lies. On heights: c cannot be separated from a shift of them. Except c: it was held, or is
+# weak.
 Answer = Literal[
     "yes", "on-positions", "on-heights", "except-c", "reserved", "no", "not-placed", "held", "unknown"
 ]
@@ -169,7 +170,7 @@ def _of_block(deciding: Sequence[Finding], listed: Iterable[Finding]) -> Answer:
 
 
 def _of_camera(deciding: Sequence[Finding], listed: Iterable[Finding]) -> Answer:
-    """Whether other flights may use the camera; the answer says if they may not use c, or what determines it."""
+    """Whether other flights may use the camera; the answer says if not its c, or what determines c."""
     answer = _answer(deciding, _OF_BLOCK)
     if answer == "reserved" and any(map(_leaves_c_open, deciding)):
         return "except-c"

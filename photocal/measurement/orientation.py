@@ -9,11 +9,11 @@ from scipy.special import ndtr
 
 from photocal.base.arrays import Flags, Floats
 from photocal.block.folder import read_images
+from photocal.block.project import Project
+from photocal.block.results.folder import RESULT, image_covariances, read_result
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.frames import UNSTATED, LocalFrame, ShiftedFrame, reference_frame
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.project import Project
-from photocal.results.folder import RESULT, image_covariances, read_result
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from photocal.base.progress import Progress
 from photocal.base.workers import Workers
 from photocal.block.model import NO_POINTS, Block, Images
 from photocal.block.network import block_frame
+from photocal.block.results.adjusted import movements
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.control_fit import fit_control, not_used
@@ -28,7 +29,6 @@ from photocal.measurement.tie_block import (
 )
 from photocal.measurement.tie_orientation import oriented, position_sigmas, reweighted
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
-from photocal.results.adjusted import movements
 
 # Cells along the longer side of an image; points in each that orient it at first, tracks that are matched
 # precisely, and points that are adjusted: more of them cost time, and what they have in common is no noise

@@ -18,6 +18,7 @@ from photocal.base.workers import Cluster, one_crew
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, ROLES, Block, ObjectPoints
 from photocal.block.network import OTHER_SURFACE_M, block_frame
+from photocal.block.project import Project
 from photocal.block.rig import make_heads
 from photocal.findings.finding import Finding
 from photocal.findings.texts import as_record
@@ -69,7 +70,6 @@ from photocal.measurement.target_block import measure_board, measure_field
 from photocal.measurement.tie_block import POSITION_SIGMA_M, marked_control, start_block
 from photocal.measurement.tie_orientation import pictures_turned
 from photocal.measurement.tracks import Tracks
-from photocal.project import Project
 
 # How far heads move (m) and turn (rad) on their frame during the search for gross errors.
 LOOSE_FRAME = 0.05, 0.002

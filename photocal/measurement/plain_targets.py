@@ -12,6 +12,7 @@ from photocal.base.errors import ConfigurationError
 from photocal.base.progress import Progress
 from photocal.base.workers import Workers, run_tasks
 from photocal.block.model import ObjectPoints
+from photocal.block.project import PlainTargets, Project
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera
@@ -22,7 +23,6 @@ from photocal.measurement.orientation import Orientation, predict
 from photocal.measurement.patch_matching import ImageSource
 from photocal.measurement.target_centre import PARTS, SMALLEST_PX, TargetImage, ground_bend, measurable
 from photocal.measurement.target_search import find_targets
-from photocal.project import PlainTargets, Project
 
 
 @dataclass(frozen=True)

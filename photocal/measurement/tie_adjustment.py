@@ -16,6 +16,7 @@ from photocal.base.errors import IllPosedError, NotConvergedError, PhotocalError
 from photocal.base.policy import policy
 from photocal.block.model import Block, Images
 from photocal.block.network import NetworkOfBlock, assemble
+from photocal.block.results.adjusted import given_exposures, given_points
 from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
@@ -29,7 +30,6 @@ from photocal.measurement.tie_block import (
     without_single_rays,
 )
 from photocal.measurement.tracks import Tracks, of_images
-from photocal.results.adjusted import given_exposures, given_points
 
 # A round takes out a third or less of what the one before has: after this share no later one would show.
 _ROUNDS, FEW_LEFT = 8, 1e-4

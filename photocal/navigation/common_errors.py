@@ -11,6 +11,7 @@ import numpy as np
 from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.errors import ConfigurationError
 from photocal.base.geodesy import geodetic
+from photocal.block.project import AirAtBase
 from photocal.findings.texts import Catalogue, catalogue
 from photocal.navigation.engine import (
     PER_METRE,
@@ -20,7 +21,6 @@ from photocal.navigation.engine import (
 )
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory
-from photocal.project import AirAtBase
 
 # Means and seasonal amplitudes at 15, 30, 45, 60 and 75 degrees: pressure (hPa), temperature (K), vapour
 # pressure (hPa), lapse rate (K/m), exponent of the vapour (RTCA DO-229D, table A-2; Collins and Langley

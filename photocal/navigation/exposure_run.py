@@ -12,6 +12,7 @@ import numpy as np
 
 from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.errors import ConfigurationError
+from photocal.block.project import Project
 from photocal.findings.digits import Number
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json
@@ -42,7 +43,6 @@ from photocal.navigation.rig import CameraOnBody, rig_of_mounting
 from photocal.navigation.time import HostTime
 from photocal.navigation.trajectory import LARGEST_GAP_S, Trajectory, plainly
 from photocal.navigation.vehicle import VehicleTrack, autopilot_time, read_vehicle
-from photocal.project import Project
 
 # What schema 1 calls the outcome of a check; all others failed.
 _VERDICTS = {"passed": "passed", "note": "passed", "untested": "not possible"}

@@ -12,6 +12,7 @@ from photocal.base.errors import PhotocalError
 from photocal.base.policy import policy
 from photocal.base.progress import Progress
 from photocal.base.text_tables import read_wider_table
+from photocal.block.results.folder import RESULT, read_result
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.localisation import similarity
 from photocal.geometry.oriented_images import OrientedImages
@@ -21,7 +22,6 @@ from photocal.measurement.picture_block import measure_images
 from photocal.navigation.exposures import Exposures, orientations
 from photocal.navigation.position_comparison import judge_positions
 from photocal.navigation.rig import CameraOnBody
-from photocal.results.folder import RESULT, read_result
 
 CODE = "image-rotations"
 # Attitudes of small vehicles are good to a few degrees.

@@ -12,6 +12,7 @@ from photocal.base.arrays import Flags, Floats
 from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.base.geodesy import enu_axes, geocentric, geodetic
+from photocal.block.project import AirAtBase
 from photocal.navigation.base_frame import BaseFrame
 from photocal.navigation.common_errors import CommonErrors, common_errors
 from photocal.navigation.engine import (
@@ -34,7 +35,6 @@ from photocal.navigation.precise_results import (
 )
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory, enu_axes_at
-from photocal.project import AirAtBase
 
 # The engine uses base observations up to 30 s old.
 _BASE_AGE_NS = 30_000_000_000

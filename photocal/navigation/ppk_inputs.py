@@ -9,6 +9,7 @@ import numpy as np
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.base.time_scales import GPS_EPOCH_NS
+from photocal.block.project import AirAtBase
 from photocal.geometry.realizations import realization
 from photocal.navigation.base_frame import BaseFrame, decimal_year
 from photocal.navigation.engine import Rtklib
@@ -18,7 +19,6 @@ from photocal.navigation.precise_results import count_ephemerides, read_observat
 from photocal.navigation.receiver_recording import ReceiverRecording, pick, read_receivers, refuse_unusable
 from photocal.navigation.rinex_files import navigation_ready, now, observations_ready
 from photocal.navigation.time import GpsTime
-from photocal.project import AirAtBase
 
 NAV_OF_BASE = "base"
 

@@ -13,6 +13,7 @@ from photocal.base.console import numbers_of, progress
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_folder, write_json
 from photocal.base.operating_system import cache_folder
+from photocal.block.project import read_project
 from photocal.measurement.match_images import MatchingPlan
 from photocal.navigation.common_errors import parse_weather
 from photocal.navigation.engine import Mode, Rtklib
@@ -24,7 +25,6 @@ from photocal.navigation.ppk import PpkResult, options_for, process, with_antenn
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
 from photocal.navigation.ppk_report import ppk_figures, ppk_text, write_ppk
 from photocal.navigation.rig import CameraOnBody, camera_axes
-from photocal.project import read_project
 
 Paths = str | Path | Sequence[str | Path]
 

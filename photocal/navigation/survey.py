@@ -24,6 +24,7 @@ from photocal.base.errors import (
     reading,
 )
 from photocal.base.geodesy import enu_axes, geocentric, geodetic
+from photocal.block.project import AirAtBase
 from photocal.geometry.realizations import Realization, known_realization, realization
 from photocal.geometry.systems import degrees_outside
 from photocal.navigation.base_frame import BaseFrame, decimal_year
@@ -41,7 +42,6 @@ from photocal.navigation.receiver_recording import pick, read_receivers, refuse_
 from photocal.navigation.rinex_files import navigation_ready, now, observations_ready
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory
-from photocal.project import AirAtBase
 
 
 def frame_told(mark: str, text: str, epoch: float = math.nan) -> Realization | None:

@@ -21,14 +21,14 @@ from photocal.base.files import output_folder, output_picture, write_json, write
 from photocal.base.policy import policy
 from photocal.base.text_tables import read_table, refuse
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
+from photocal.block.results.adjusted import adjust_network
+from photocal.block.results.result import Result
 from photocal.findings.document import Paragraph, Section, table, text
 from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import angles_from_matrix, turned_left
 from photocal.planning.flight import PlanningCamera
 from photocal.planning.simulated_adjustment import SELF_CALIBRATION, planned_camera, visible_rays
-from photocal.results.adjusted import adjust_network
-from photocal.results.result import Result
 
 _NORMAL = ("nX", "nY", "nZ")
 Place = tuple[FiniteFloat, FiniteFloat, FiniteFloat]

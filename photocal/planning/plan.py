@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from photocal.accuracy.standard import ScaleStandard, Standard, load_standard, parse_scale
 from photocal.adjustment.adjust import adjust
+from photocal.analysis.accuracy.standard import ScaleStandard, Standard, load_standard, parse_scale
 from photocal.base.arrays import Floats, picked
 from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError, IllPosedError

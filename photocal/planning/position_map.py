@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from photocal.accuracy.maps import round_down
 from photocal.adjustment.mounting import SHIFT, Mounting, Positions, antennas, body_to_camera
+from photocal.analysis.accuracy.maps import round_down
 from photocal.base.arrays import Floats
 from photocal.base.files import output_folder, output_picture, write_rows
 from photocal.base.geopackage import Layer, ReferenceSystem, add_layer, geopackage

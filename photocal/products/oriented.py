@@ -8,6 +8,7 @@ from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block
 from photocal.block.network import block_frame
+from photocal.block.results.folder import read_result
 from photocal.exchange.formats import read_any_block
 from photocal.geometry.camera import Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
@@ -15,7 +16,6 @@ from photocal.geometry.frames import LocalFrame
 from photocal.geometry.lens import optics
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.kernels import LensTables, Poses, look_up
-from photocal.results.folder import read_result
 
 
 def lens_tables(cameras: tuple[Camera, ...]) -> LensTables:

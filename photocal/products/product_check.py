@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.accuracy.discrepancies import Discrepancies
+from photocal.analysis.accuracy.discrepancies import Discrepancies
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.base.policy import policy

@@ -7,6 +7,7 @@ import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.block.model import InputFile
+from photocal.block.results.result import CENTRES, TURNS
 from photocal.findings.digits import decimals_of, probability, symbol
 from photocal.findings.document import (
     Column,
@@ -24,7 +25,6 @@ from photocal.report.camera_sections import ROWS
 from photocal.report.figures import difference_histograms, difference_map
 from photocal.report.sensor import RADIAL
 from photocal.report.stored_analysis import AnalysedRun
-from photocal.results.result import CENTRES, TURNS
 
 ARCSECONDS = 3600.0
 

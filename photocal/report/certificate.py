@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterable
 
 from photocal.base.errors import InputMalformedError
+from photocal.block.results.result import Result
 from photocal.findings.digits import relation
 from photocal.findings.document import Document, Highlight, KeyValues, Piece, Section, Statement, Tone
 from photocal.findings.finding import Finding, of_global_test
@@ -17,7 +18,6 @@ from photocal.report.derived_figures import verdict as keeps
 from photocal.report.ministry_rows import Context
 from photocal.report.sensor import sensor_residuals
 from photocal.report.stored_analysis import AnalysedRun
-from photocal.results.result import Result
 
 WORDS = ("table", "figure", "page", "of", "contents")
 # What nobody looked for is not known to be absent.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from photocal.accuracy.maps import draw_histogram, draw_vectors, localised
+from photocal.analysis.accuracy.maps import draw_histogram, draw_vectors, localised
 from photocal.base.arrays import Floats
 from photocal.findings.digits import MINUS, symbol
 from photocal.findings.texts import Catalogue

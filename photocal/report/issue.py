@@ -16,6 +16,8 @@ from photocal.base.codec import object_of
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.base.files import output_folder
 from photocal.block.model import InputFile
+from photocal.block.results.folder import block_of_run, carry, read_json, result_json
+from photocal.block.results.result import Figures, Result
 from photocal.findings.document import Document, html, pdf
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json
@@ -27,8 +29,6 @@ from photocal.report.ministry_rows import Context, entries, read_layout
 from photocal.report.sensor import farthest_corner, radial_profile
 from photocal.report.signing import keep_signed
 from photocal.report.stored_analysis import AnalysedRun, certified_analysis, read_run
-from photocal.results.folder import block_of_run, carry, read_json, result_json
-from photocal.results.result import Figures, Result
 
 SCHEMA = "photocal.certificate/1"
 NAME = "certificate.json"

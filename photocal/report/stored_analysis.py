@@ -9,8 +9,8 @@ from photocal.base.arrays import as_plain
 from photocal.base.codec import from_plain
 from photocal.base.errors import InputMalformedError
 from photocal.block.model import InputFile, fingerprint
-from photocal.results.folder import RESULT, read_json, read_result
-from photocal.results.result import Result
+from photocal.block.results.folder import RESULT, read_json, read_result
+from photocal.block.results.result import Result
 
 _AGAIN = "run `photocal analyse` again"
 # What a certificate repeats of an analysis, and of the parts of its parts; empty: all of it.

@@ -12,6 +12,9 @@ from typing import Any
 from photocal.analysis.analyse_run import analyse_run
 from photocal.base.files import digest
 from photocal.block.model import InputFile
+from photocal.block.results.adjusted import adjust_block
+from photocal.block.results.folder import CARRIED, RESULT, BlockSource, carry
+from photocal.block.results.more_tables import Wanted
 from photocal.exchange.formats import read_any_block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, findings_of
@@ -20,9 +23,6 @@ from photocal.report.certificate_metadata import Metadata, given_particulars
 from photocal.report.issue import FORMS, NAME, certified_result, plain_record, printed
 from photocal.report.signing import SIGNATURE, STAMP
 from photocal.report.stored_analysis import AnalysedRun, read_run
-from photocal.results.adjusted import adjust_block
-from photocal.results.folder import CARRIED, RESULT, BlockSource, carry
-from photocal.results.more_tables import Wanted
 
 PAGES = FORMS[:2]
 # The pages are compared themselves.

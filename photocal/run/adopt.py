@@ -31,6 +31,12 @@ from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block
 from photocal.block.mounting import make_mounting
 from photocal.block.network import assemble
+from photocal.block.results.adjusted import (
+    adjust_block,
+    adjusted,
+    residuals_of,
+)
+from photocal.block.results.result import Residuals, Result
 from photocal.block.setup import MountingKeys
 from photocal.exchange.foreign_project import ForeignProject, free_nonzero_parameters, never_estimated
 from photocal.exchange.formats import read_foreign_project
@@ -38,12 +44,6 @@ from photocal.exchange.quality_report import QualityReport, report_of
 from photocal.geometry.camera import held_camera
 from photocal.measurement.measurement_record import SCHEMA as MEASURED
 from photocal.measurement.measurement_record import MeasuredBlock
-from photocal.results.adjusted import (
-    adjust_block,
-    adjusted,
-    residuals_of,
-)
-from photocal.results.result import Residuals, Result
 from photocal.run.adopt_rays import (
     by_rays_alone,
     crossed,

@@ -8,11 +8,11 @@ import numpy as np
 
 from photocal.adjustment.rig import OF_HEAD
 from photocal.base.arrays import Flags, Floats
+from photocal.block.results.result import Result
 from photocal.exchange.foreign_project import ForeignProject
 from photocal.findings.texts import Catalogue, catalogue, finding_text, findings_of, plain
 from photocal.geometry.camera import MODELS, PARAMETERS
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.results.result import Result
 
 
 def camera_figures(foreign: ForeignProject, result: Result) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from photocal.base.arrays import Flags, Integers
 from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.base.progress import Progress
 from photocal.block.model import Block
+from photocal.block.project import Project
 from photocal.block.setup import MountingKeys
 from photocal.findings.finding import Finding
 from photocal.findings.listed import Findings
@@ -21,7 +22,6 @@ from photocal.geometry.rotation import object_to_body
 from photocal.geometry.strips import strips
 from photocal.navigation.exposure_files import projected, with_images
 from photocal.navigation.exposures import Exposures
-from photocal.project import Project
 from photocal.run.stage import Stage, pictures_of
 
 # What is to be said of a block as it was joined.

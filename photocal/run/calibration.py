@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from photocal.base.progress import Progress
-from photocal.project import Project
+from photocal.block.project import Project
 from photocal.report.keys import own_key
 from photocal.run.stage import RECORD, Stage
 from photocal.run.summary import gather, read_json
@@ -23,7 +23,7 @@ def calibration_stage(block: Path, read: Callable[[Path], Block]) -> Stage:
 
     def make(folder: Path, show: Progress) -> None:
         """Make the files of the stage."""
-        from photocal.results.adjusted import adjust_block
+        from photocal.block.results.adjusted import adjust_block
 
         with show("calibration", None) as done:
             adjust_block(block, folder, report=lambda _: done(1), read=read)

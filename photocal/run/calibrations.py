@@ -11,13 +11,13 @@ import numpy as np
 from photocal.analysis.stability.repeatability import Occasion, Repeatability, repeatability
 from photocal.base.checked_toml import parse_toml
 from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
+from photocal.block.project import read_project
+from photocal.block.results.folder import CARRIED, RESULT, cameras_of_json, heads_of_json, read_result
+from photocal.block.results.result import AdjustedHead
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
-from photocal.project import read_project
 from photocal.report.certificate_metadata import given_particulars
 from photocal.report.issue import NAME, read_record
-from photocal.results.folder import CARRIED, RESULT, cameras_of_json, heads_of_json, read_result
-from photocal.results.result import AdjustedHead
 
 if TYPE_CHECKING:
     from photocal.analysis.stability.camera_file import CameraFile
@@ -168,9 +168,9 @@ def exchanged(flights: Sequence[Calibrated], done: Callable[[], None] = lambda: 
 
     raises PhotocalError: when a flight has no positions, attitudes or check points.
     """
+    from photocal.analysis.georeferencing.comparison import differences
+    from photocal.analysis.georeferencing.methods import of_method
     from photocal.block.folder import read_block
-    from photocal.georeferencing.comparison import differences
-    from photocal.georeferencing.methods import of_method
     from photocal.run.georeferencing import calibrated_on_the_job
 
     prepared = [calibrated_on_the_job(read_block(flight.block)) for flight in flights]

@@ -13,9 +13,9 @@ from photocal.base.errors import ConfigurationError, PhotocalError, system_refus
 from photocal.base.extensions import STAGES, brought
 from photocal.base.progress import Bar, Progress, quiet, unseen
 from photocal.block.folder import read_block
+from photocal.block.project import Project, read_project
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.findings.verdict import by_methods
-from photocal.project import Project, read_project
 from photocal.run.block import block_stage, given_block_stage
 from photocal.run.calibration import analysis_stage, calibration_stage, certificate_stage
 from photocal.run.control import control_stage

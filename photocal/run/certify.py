@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from photocal.base.console import progress
+from photocal.block.results.folder import CARRIED
 from photocal.findings.document import Document
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import list_images
@@ -12,7 +13,6 @@ from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import FORMS, issue
 from photocal.report.keys import own_key
 from photocal.report.options import CertificateOptions
-from photocal.results.folder import CARRIED
 from photocal.run.summary import flown_figures, stage_findings
 
 

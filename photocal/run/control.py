@@ -7,8 +7,8 @@ from typing import Any
 from photocal.base.errors import PhotocalError
 from photocal.base.files import write_json
 from photocal.base.progress import Progress
+from photocal.block.project import Project
 from photocal.findings.finding import Finding
-from photocal.project import Project
 from photocal.run.stage import Stage
 
 SCHEMA = "photocal.control/1"

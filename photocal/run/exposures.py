@@ -8,11 +8,11 @@ from photocal.base.codec import object_of, parsed_json
 from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError
 from photocal.base.files import write_json
 from photocal.base.progress import Progress
+from photocal.block.project import Project
 from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.exposure_files import with_images
 from photocal.navigation.ppk_figures import FIGURES as PPK_FIGURES
 from photocal.navigation.ppk_figures import PpkFigures
-from photocal.project import Project
 from photocal.run.ppk import TRAJECTORY, ppk_stage
 from photocal.run.stage import Stage, pictures_of
 

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from photocal.accuracy.discrepancies import check_laser
-from photocal.accuracy.maps import reference_system
+from photocal.analysis.accuracy.discrepancies import check_laser
+from photocal.analysis.accuracy.maps import reference_system
+from photocal.analysis.georeferencing.findings import control_by_strip, held_by_positions
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, InputMalformedError
 from photocal.base.geopackage import changed_utc
@@ -17,10 +18,12 @@ from photocal.base.progress import Progress
 from photocal.block.model import Block
 from photocal.block.motion import velocity_of_neighbours
 from photocal.block.network import positions_at
+from photocal.block.project import Project
+from photocal.block.results.folder import read_result
+from photocal.block.results.result import common_values
 from photocal.findings.texts import as_record
 from photocal.geometry.frames import LocalFrame
 from photocal.geometry.strips import lines_of_places, order_of_places, strips
-from photocal.georeferencing.findings import control_by_strip, held_by_positions
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.planning.flown import figures_of, flown_block, ground_through
@@ -30,10 +33,7 @@ from photocal.planning.position_map import position_differences, write_positions
 from photocal.products.oriented import oriented
 from photocal.products.ortho_job import heights_of, system_of
 from photocal.products.raster import describe, terrain_source
-from photocal.project import Project
 from photocal.report.derived_figures import NADIR_DEG
-from photocal.results.folder import read_result
-from photocal.results.result import common_values
 from photocal.run.stage import Stage, pictures_of
 
 

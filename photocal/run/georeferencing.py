@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from photocal.base.files import write_json
 from photocal.base.progress import Progress
-from photocal.project import Project
+from photocal.block.project import Project
 from photocal.run.stage import Stage
 
 if TYPE_CHECKING:
-    from photocal.accuracy.standard import Question
+    from photocal.analysis.accuracy.standard import Question
+    from photocal.analysis.georeferencing.direct import Calibration
     from photocal.block.model import Block
-    from photocal.georeferencing.direct import Calibration
 
 FIGURES = "check.json"
 
@@ -35,13 +35,13 @@ def georeferencing_stage(project: Project, block: Path, read: Callable[[Path], B
 def _make(
     project: Project, source: Path, folder: Path, show: Progress, read: Callable[[Path], Block]
 ) -> None:
-    from photocal.accuracy.maps import reference_system
-    from photocal.accuracy.standard import SHIPPED, load_standard
+    from photocal.analysis.accuracy.maps import reference_system
+    from photocal.analysis.accuracy.standard import SHIPPED, load_standard
+    from photocal.analysis.georeferencing.comparison import check_block
+    from photocal.analysis.georeferencing.methods import METHODS, with_shutters
+    from photocal.analysis.georeferencing.output import SCHEMA, to_json, write_check
     from photocal.base.geopackage import changed_utc
     from photocal.findings.texts import as_record
-    from photocal.georeferencing.comparison import check_block
-    from photocal.georeferencing.methods import METHODS, with_shutters
-    from photocal.georeferencing.output import SCHEMA, to_json, write_check
     from photocal.measurement.oriented_ties import NOT_PLACED
 
     standards = tuple(load_standard(name) for name in project.contents.judgement.standards or SHIPPED)
@@ -59,7 +59,7 @@ def _make(
 
 def question_of(project: Project) -> Question:
     """What a project wants its products to be judged for."""
-    from photocal.accuracy.standard import Question, parse_scale
+    from photocal.analysis.accuracy.standard import Question, parse_scale
 
     asked = project.contents.judgement
     return Question(
@@ -74,8 +74,8 @@ def question_of(project: Project) -> Question:
 
 def calibrated_on_the_job(block: Block) -> tuple[Block, Calibration]:
     """Calibrate camera and mounting of a flight."""
-    from photocal.georeferencing.direct import calibrate
-    from photocal.georeferencing.methods import (
+    from photocal.analysis.georeferencing.direct import calibrate
+    from photocal.analysis.georeferencing.methods import (
         checkable,
         in_local_frame,
         with_attitude_angles,

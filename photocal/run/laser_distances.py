@@ -5,7 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from photocal.accuracy.discrepancies import (
+from photocal.adjustment.lasers import NO_LASERS, LaserDistances, planes_ahead
+from photocal.adjustment.ledger import because
+from photocal.adjustment.network import Network
+from photocal.adjustment.state import State, start_state
+from photocal.analysis.accuracy.discrepancies import (
     DENSE,
     FEWEST_SHOTS,
     LASER_M,
@@ -14,17 +18,13 @@ from photocal.accuracy.discrepancies import (
     SMOOTH_M,
     far_off,
 )
-from photocal.adjustment.lasers import NO_LASERS, LaserDistances, planes_ahead
-from photocal.adjustment.ledger import because
-from photocal.adjustment.network import Network
-from photocal.adjustment.state import State, start_state
 from photocal.base.arrays import Integers
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.block.model import Block
 from photocal.block.network import assemble
+from photocal.block.results.adjusted import adjusted
 from photocal.findings.finding import Finding, untested
 from photocal.measurement.image_facts import ImageFacts
-from photocal.results.adjusted import adjusted
 
 CODE = "laser-observations"
 # What distances have in common limits them long before: so many of them are enough, and each brings three

@@ -13,8 +13,8 @@ from photocal.base.codec import toml_document
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import write_file
 from photocal.block.model import ROLES, Block
+from photocal.block.project import LeaveOutKeys
 from photocal.findings.finding import Finding
-from photocal.project import LeaveOutKeys
 
 _SECTION = "leave_out"
 _ON_MARKS = ("mark-off", "mark-left-out", "marks-apart", "control-off", "control-far")

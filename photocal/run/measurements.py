@@ -12,10 +12,10 @@ from photocal.base.text_tables import read_table
 from photocal.block.folder import read_images, read_observations, read_points
 from photocal.block.model import ROLES, Block, Images, fingerprint
 from photocal.block.network import observed_plane
+from photocal.block.project import Project
 from photocal.block.setup import ObservationKeys
 from photocal.geometry.distortion import slopes_of
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.project import Project
 from photocal.run.stage import Stage, pictures_of
 
 

@@ -14,6 +14,7 @@ from photocal.base.files import rows_text, write_file
 from photocal.base.policy import policy
 from photocal.block.model import ROLES, ObjectPoints
 from photocal.block.network import OTHER_SURFACE_M
+from photocal.block.project import ASKED, NAME
 from photocal.findings.digits import Number
 from photocal.findings.texts import Catalogue, catalogue, finding_text, plain
 from photocal.geometry.camera import PARAMETERS, Camera
@@ -28,7 +29,6 @@ from photocal.measurement.picture_tests import judge_cameras, judge_pictures, la
 from photocal.measurement.position_files import PlacesOfPictures, read_positions
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
-from photocal.project import ASKED, NAME
 from photocal.run.camera_card import ChosenPictures, chosen_pictures
 from photocal.run.control_files import ASSUMED_M, named_as_checks, named_checks
 from photocal.run.folder_survey import FolderContents, survey

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from photocal.base.errors import ConfigurationError
-from photocal.project import Project
+from photocal.block.project import Project
 from photocal.run.stage import made_in
 
 STAGES = (

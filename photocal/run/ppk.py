@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from photocal.base.progress import Progress
-from photocal.project import Project
+from photocal.block.project import Project
 from photocal.run.stage import Stage
 
 TRAJECTORY = "trajectory.parquet"

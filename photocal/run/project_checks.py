@@ -16,6 +16,7 @@ from photocal.base.errors import ConfigurationError, InputMalformedError, Photoc
 from photocal.block.folder import read_block, read_relations
 from photocal.block.model import Block, ObjectPoints
 from photocal.block.network import ELLIPSOIDAL_M, block_frame
+from photocal.block.project import Project
 from photocal.exchange.source import read_json
 from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.frames import level_of, reference_frame, require_geoid, system_of, utm_zones
@@ -27,7 +28,6 @@ from photocal.measurement.marks import read_marks
 from photocal.measurement.picture_block import better_known, control_points, pictures_of_heads
 from photocal.measurement.position_files import map_places
 from photocal.measurement.tie_block import intersected, tracks_of, views_of
-from photocal.project import Project
 
 # How far control may lie from a base station, and from what pictures say of their place.
 FAR_FROM_BASE_M, FAR_FROM_PICTURES_M = 50_000.0, 5_000.0

@@ -12,8 +12,8 @@ from tomlkit.items import AoT, Table
 
 from photocal.base.codec import toml_document
 from photocal.base.files import rows_text
+from photocal.block.project import ASKED, NAME
 from photocal.exchange.source import read_text
-from photocal.project import ASKED, NAME
 
 # What tells entries of a list of tables apart.
 _IDS = {"camera": "id", "head": "camera"}

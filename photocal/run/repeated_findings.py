@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from photocal.base.errors import PhotocalError
+from photocal.block.results.folder import CARRIED, BlockSource, carry
 from photocal.exchange.formats import read_any_block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_text, plain, subject_text
@@ -16,7 +17,6 @@ from photocal.report.certificate import overall
 from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import derived_figures
 from photocal.report.stored_analysis import AnalysedRun
-from photocal.results.folder import CARRIED, BlockSource, carry
 from photocal.run.summary import add_new, calibration_findings, causes_first, hidden_faults, same_matter
 
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
@@ -93,10 +93,10 @@ def repeated_findings(
 
 def _of_check(source: BlockSource, done: Callable[[], None]) -> tuple[tuple[Finding, ...], str | None]:
     """Findings of the three georeferencings of a block, as stage `georeferencing` makes them; or why none."""
-    from photocal.accuracy.standard import Question
-    from photocal.georeferencing.comparison import check_block
-    from photocal.georeferencing.findings import block_findings
-    from photocal.georeferencing.methods import with_shutters
+    from photocal.analysis.accuracy.standard import Question
+    from photocal.analysis.georeferencing.comparison import check_block
+    from photocal.analysis.georeferencing.findings import block_findings
+    from photocal.analysis.georeferencing.methods import with_shutters
     from photocal.measurement.oriented_ties import NOT_PLACED
 
     try:

@@ -28,7 +28,7 @@ from photocal.base.progress import Progress
 from photocal.base.version import __version__
 
 if TYPE_CHECKING:
-    from photocal.project import Project
+    from photocal.block.project import Project
 
 # Smaller files are read each time: nothing deceives that, and it takes no time.
 _SMALL_BYTES = 1 << 22

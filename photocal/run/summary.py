@@ -7,10 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from photocal.accuracy.classes import condition
+from photocal.analysis.accuracy.classes import condition
 from photocal.base.arrays import as_plain
 from photocal.base.policy import policy
 from photocal.block.model import InputFile
+from photocal.block.results.folder import RESULT, changed_inputs, read_result
+from photocal.block.results.result import Result
 from photocal.findings.digits import with_sigma
 from photocal.findings.finding import Finding
 from photocal.findings.listed import Findings
@@ -31,8 +33,6 @@ from photocal.navigation.ppk_figures import FIGURES as PPK
 from photocal.navigation.ppk_figures import PpkFigures
 from photocal.report.certificate import judged, tested
 from photocal.report.stored_analysis import AnalysedRun, read_run
-from photocal.results.folder import RESULT, changed_inputs, read_result
-from photocal.results.result import Result
 from photocal.run.block import FINDINGS as BLOCK
 from photocal.run.control import FIGURES as CONTROL
 from photocal.run.exposures import FIGURES as EXPOSED

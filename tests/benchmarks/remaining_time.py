@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from photocal.base.progress import Standing, quiet
-from photocal.project import read_project
+from photocal.block.project import read_project
 from photocal.run.campaign import run_project
 
 PARTS = (1 / 3, 1 / 2, 2 / 3)

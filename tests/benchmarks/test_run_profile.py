@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from photocal.project import read_project
+from photocal.block.project import read_project
 from photocal.run.campaign import stages
 from tests.benchmarks.test_engine_speed import RESULTS, ROOT
 

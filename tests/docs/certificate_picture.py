@@ -10,8 +10,8 @@ from pathlib import Path
 from PIL import Image
 
 from photocal.analysis.analyse_run import analyse_run
+from photocal.block.results.adjusted import adjust_block
 from photocal.report.options import CertificateOptions
-from photocal.results.adjusted import adjust_block
 from photocal.run.certify import certificate
 from tests.docs.rooms import ROOT
 

@@ -16,7 +16,7 @@ from typer.main import get_command
 
 from acquire.cli import app as acquire_app
 from photocal.base.console import kinds
-from photocal.cli import app as photocal_app
+from photocal.commands.cli import app as photocal_app
 
 FOLDER = Path(__file__).parents[2] / "docs" / "commands"
 INDEX = "README.md"

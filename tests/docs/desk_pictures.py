@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 from photocal.base.progress import quiet
 from photocal.base.web import Address, serving
+from photocal.block.project import NAME, read_project
 from photocal.desk.standing import application
 from photocal.exchange.parts import Mark
 from photocal.measurement.marking.store import write_marks
-from photocal.project import NAME, read_project
 from photocal.run.campaign import run_project
 from photocal.run.new_project import new_project
 from tests.docs.shown import GUIDE

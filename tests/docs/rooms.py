@@ -58,7 +58,7 @@ def between_modules() -> Edges:
 
 
 def room_of(module: str) -> str:
-    """Return the room of a module: "drivers", "acquire.log", "photocal.geometry", "photocal.cli", ...
+    """Return the room of a module: "drivers", "acquire.log", "photocal.geometry", "photocal.api", ...
 
     Parameters
     ----------

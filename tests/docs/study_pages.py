@@ -9,9 +9,9 @@ from tempfile import TemporaryDirectory
 
 from typer.main import get_command
 
-from photocal.cli import app
-from photocal.studies.comparison import ComparedFigure, Repeated, repeat_study, shown
-from photocal.studies.study import shipped
+from photocal.commands.cli import app
+from photocal.report.studies.comparison import ComparedFigure, Repeated, repeat_study, shown
+from photocal.report.studies.study import shipped
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "studies"

@@ -12,7 +12,7 @@ import typer
 from typer.main import get_command
 
 from acquire.cli import app as acquire_app
-from photocal.cli import app as photocal_app
+from photocal.commands.cli import app as photocal_app
 from tests.docs.command_pages import FOLDER, INDEX
 
 ROOT = Path(__file__).parents[2]

@@ -33,7 +33,7 @@ from photocal.navigation.receiver_recording import read_receivers
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import issue
 from photocal.run.block import observed_positions
-from tests.photocal.georeferencing.flights import Errors, Plan, fly
+from tests.photocal.analysis.georeferencing.flights import Errors, Plan, fly
 from tests.photocal.navigation.test_marks_once import epoch, pulse
 from tests.photocal.run.test_block import EAST_M, NORTH_M, exposures_of
 

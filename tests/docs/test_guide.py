@@ -21,17 +21,17 @@ import pytest
 
 from acquire.simulate.world.configuration import FLIGHTS
 from photocal.block.mounting import BODY_AXES
+from photocal.block.project import RigSettings
 from photocal.findings.texts import catalogue
 from photocal.hypotheses.faults import FAULTS
-from photocal.project import RigSettings
 from tests.conftest import needs_engine
 from tests.installed import surroundings
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "guide"
 # Where findings are made that `photocal run` tells.
-FOUND_IN = ("photocal/navigation", "photocal/measurement", "photocal/georeferencing", "photocal/run")
-FOUND_BY = ("photocal/accuracy/ground_points.py", "photocal/hypotheses/table.py")
+FOUND_IN = ("photocal/navigation", "photocal/measurement", "photocal/analysis/georeferencing", "photocal/run")
+FOUND_BY = ("photocal/analysis/accuracy/ground_points.py", "photocal/hypotheses/table.py")
 
 
 def blocks(chapter: str, language: str) -> list[str]:

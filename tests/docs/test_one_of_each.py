@@ -41,9 +41,9 @@ def test_the_files_of_a_result_are_named_in_its_room_only() -> None:
         for node in ast.walk(tree)
         if isinstance(node, ast.Constant) and node.value in FILES
     }
-    assert named == {"photocal.results.folder"}
+    assert named == {"photocal.block.results.folder"}
     schema = {name for name, path in modules().items() if '"photocal.adjustment/' in path.read_text()}
-    assert schema == {"photocal.results.folder"}
+    assert schema == {"photocal.block.results.folder"}
 
 
 def test_one_class_of_oriented_images() -> None:

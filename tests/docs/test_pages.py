@@ -9,12 +9,11 @@ from types import ModuleType
 
 import pytest
 
-from photocal import project
 from photocal.adjustment.mounting import COMMON
 from photocal.analysis.stability.methods import methods
 from photocal.base import errors
 from photocal.base.checked_toml import Table
-from photocal.block import camera_setup, setup
+from photocal.block import camera_setup, project, setup
 from photocal.geometry.camera import PARAMETERS
 from tests.docs import evidence_page, fault_page, gallery_page, picture_page, site
 from tests.docs.command_pages import FOLDER, MORE, commands, pages

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from photocal.studies.study import read_study, shipped
+from photocal.report.studies.study import read_study, shipped
 from tests.docs import study_pages
 
 # Printed figures that agreed when the chapters were written: fewer is a step back.

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from typer.testing import CliRunner
 
-from photocal.cli import app
+from photocal.commands.cli import app
 from photocal.run.calibrations import read_calibrated
 from photocal.run.campaign import run_one
 from tests.simulated import FLIGHT, fly

@@ -32,15 +32,15 @@ from acquire.simulate.world.configuration import Level
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.mounting import COMMON
 from photocal.adjustment.solution import Solution
+from photocal.analysis.georeferencing.comparison import differences
+from photocal.analysis.georeferencing.methods import METHODS, Method, of_method
 from photocal.base.progress import quiet
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.network import assemble
+from photocal.block.project import read_project
+from photocal.block.results.adjusted import given_exposures, given_points
 from photocal.geometry.camera import PARAMETERS
-from photocal.georeferencing.comparison import differences
-from photocal.georeferencing.methods import METHODS, Method, of_method
-from photocal.project import read_project
-from photocal.results.adjusted import given_exposures, given_points
 from photocal.run.campaign import run_project
 from photocal.run.georeferencing import calibrated_on_the_job
 from tests.simulated import fly, simulate

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.simulate.gnss.settings import SkySettings
+from photocal.block.project import AirAtBase
 from photocal.navigation.common_errors import CommonErrors, remaining_lapse
 from photocal.navigation.ppk import PpkResult
-from photocal.project import AirAtBase
 from tests.acquire.simulate.gnss.flights import BASE_DEG
 from tests.evidence.ppk_fixes import Case, flown
 

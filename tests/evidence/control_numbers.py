@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from photocal.analysis.georeferencing.experiment import control_numbers
 from photocal.block.folder import read_block
-from photocal.georeferencing.experiment import control_numbers
-from tests.photocal.georeferencing.flights import Errors, Plan, fly
+from tests.photocal.analysis.georeferencing.flights import Errors, Plan, fly
 
 OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "control-numbers.md"
 PLAN = Plan(tie=40, control=5, check=7, estimate=("c", "x0", "y0", "K1", "K2"))

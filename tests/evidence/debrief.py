@@ -26,11 +26,11 @@ from PIL import Image
 
 from acquire.simulate.world.configuration import read_configuration
 from photocal.base.progress import quiet
-from photocal.debrief.verdict import debrief
+from photocal.block.project import read_project
 from photocal.exchange.pinhole import Pinhole, from_pinhole
 from photocal.geometry.camera import Camera
-from photocal.project import read_project
-from tests.photocal.debrief.conftest import (
+from photocal.run.debrief.verdict import debrief
+from tests.photocal.run.debrief.conftest import (
     BOTH,
     EXIF,
     FOCAL_MM,

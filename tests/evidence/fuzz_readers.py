@@ -40,7 +40,10 @@ from acquire.simulate.world.configuration import read_configuration as read_flig
 from drivers.mavlink.dialect import ardupilotmega
 from photocal.base.errors import PhotocalError
 from photocal.block.folder import read_block
-from photocal.cli import app
+from photocal.block.project import read_project
+from photocal.block.results.adjusted_block import adjusted_block
+from photocal.block.results.folder import read_result
+from photocal.commands.cli import app
 from photocal.exchange.colmap import read_colmap
 from photocal.exchange.formats import FORMATS, read_foreign_block, read_foreign_project
 from photocal.exchange.ground_points import read_gcp_list, read_geo
@@ -52,10 +55,7 @@ from photocal.measurement.position_files import read_positions
 from photocal.navigation.engine import read_solution
 from photocal.navigation.events import read_mrk
 from photocal.navigation.precise_results import read_observation_file
-from photocal.project import read_project
 from photocal.report.certificate_metadata import read_particulars
-from photocal.results.adjusted_block import adjusted_block
-from photocal.results.folder import read_result
 from tests.photocal.exchange import test_rigs
 from tests.photocal.exchange.test_hostile import small_archive
 from tests.photocal.run.test_adopt import pix4d

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from photocal.analysis.georeferencing.causes import causes_of
+from photocal.analysis.georeferencing.comparison import differences
+from photocal.analysis.georeferencing.methods import METHODS, of_method, with_attitude_angles
 from photocal.block.folder import read_block
-from photocal.georeferencing.causes import causes_of
-from photocal.georeferencing.comparison import differences
-from photocal.georeferencing.methods import METHODS, of_method, with_attitude_angles
-from tests.photocal.georeferencing.flights import Errors, Plan, fly
+from tests.photocal.analysis.georeferencing.flights import Errors, Plan, fly
 
 SEEDS = 100
 INJECTED_SEEDS = 25

@@ -19,7 +19,7 @@ from scipy import stats
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
-from photocal.georeferencing.comparison import joint_test
+from photocal.analysis.georeferencing.comparison import joint_test
 from tests.evidence.portions import outcomes
 from tests.photocal.analysis.aerial import Flight, fly
 

@@ -16,9 +16,9 @@ import numpy as np
 
 import photocal
 from photocal.adjustment.ledger import ledger
+from photocal.analysis.georeferencing.output import to_json
 from photocal.base.errors import PhotocalError
 from photocal.findings.verdict import judge
-from photocal.georeferencing.output import to_json
 from tests.independent.flights import Design, Errors, World, measured, world
 from tests.independent.folder import Placement, write_folder
 from tests.independent.optics import Floats, omega_phi_kappa

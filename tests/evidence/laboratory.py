@@ -21,11 +21,11 @@ from photocal.adjustment.solution import global_test
 from photocal.base.arrays import Floats
 from photocal.base.progress import quiet
 from photocal.base.workers import run_tasks
+from photocal.block.results.adjusted import adjust_block
 from photocal.geometry.camera import PARAMETERS
 from photocal.measurement.image_file import list_images
 from photocal.measurement.maker_camera import with_lens
 from photocal.measurement.target_block import measure_field
-from photocal.results.adjusted import adjust_block
 from tests.photocal.measurement.laboratory import (
     ESTIMATED,
     LENS,

@@ -17,13 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
+from photocal.analysis.georeferencing.causes import causes_of, mistyped_of, slips_of
+from photocal.analysis.georeferencing.methods import with_attitude_angles
 from photocal.base.arrays import Floats
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.network import assemble
-from photocal.georeferencing.causes import causes_of, mistyped_of, slips_of
-from photocal.georeferencing.methods import with_attitude_angles
-from tests.photocal.georeferencing.flights import Plan, fly
+from tests.photocal.analysis.georeferencing.flights import Plan, fly
 
 DRAWS = 100
 KINDS = ("digits-exchanged", "one-digit", "exchanged", "feet", "height")

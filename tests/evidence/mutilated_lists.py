@@ -33,8 +33,8 @@ import numpy as np
 import typer
 
 from photocal.base.console import run
-from photocal.cli import app, texts
-from photocal.project import ASKED
+from photocal.block.project import ASKED
+from photocal.commands.cli import app, texts
 
 OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "mutilated-lists.md"
 COUNT = 2000

@@ -24,7 +24,7 @@ import numpy as np
 from typer.testing import CliRunner
 
 from photocal.base.errors import PhotocalError
-from photocal.cli import app
+from photocal.commands.cli import app
 from tests.photocal.measurement.site import SIDE, flight, texture
 
 ROOT = Path(__file__).parents[2]

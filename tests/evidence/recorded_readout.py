@@ -27,12 +27,12 @@ from photocal.block.camera_setup import known_readout
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.network import assemble
-from photocal.cli import app
+from photocal.block.results.adjusted import adjust_network
+from photocal.block.results.result import Result
+from photocal.commands.cli import app
 from photocal.geometry.camera import MOTION, PARAMETERS, SHAKE_DEGREES, Camera
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.picture_block import measure_images
-from photocal.results.adjusted import adjust_network
-from photocal.results.result import Result
 
 ROOT = Path(__file__).parents[2]
 SEQUOIA = ROOT.parent / "shared" / "data" / "sequoia-rig"

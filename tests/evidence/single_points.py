@@ -18,11 +18,16 @@ import numpy as np
 
 import photocal
 from photocal.adjustment.adjusted import fit
+from photocal.analysis.georeferencing.comparison import Differences, differences
+from photocal.analysis.georeferencing.findings import by_single_points
+from photocal.analysis.georeferencing.methods import (
+    checkable,
+    in_local_frame,
+    of_method,
+    with_attitude_angles,
+)
 from photocal.base.errors import PhotocalError
 from photocal.block.network import assemble
-from photocal.georeferencing.comparison import Differences, differences
-from photocal.georeferencing.findings import by_single_points
-from photocal.georeferencing.methods import checkable, in_local_frame, of_method, with_attitude_angles
 from photocal.hypotheses.adequacy import memory_of
 from tests.evidence.judging import fly
 from tests.evidence.portions import Case, outcomes

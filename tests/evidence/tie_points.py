@@ -25,6 +25,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.base.errors import PhotocalError
 from photocal.block.model import Block, ObjectPoints
 from photocal.block.network import assemble
+from photocal.block.results.adjusted import given_exposures, given_points
 from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.micmac import read_micmac
 from photocal.geometry.camera import PARAMETERS
@@ -38,7 +39,6 @@ from photocal.measurement.options import MeasureOptions
 from photocal.measurement.oriented_ties import Oriented, orient_ties
 from photocal.measurement.picture_block import measure_images
 from photocal.measurement.tie_block import TIE
-from photocal.results.adjusted import given_exposures, given_points
 
 Floats = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]

@@ -19,7 +19,7 @@ from pathlib import Path
 from typer.testing import CliRunner
 
 from photocal.base.errors import PhotocalError
-from photocal.cli import app
+from photocal.commands.cli import app
 from tests.simulated import PLANS, fly
 
 OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "wrong-projects.md"

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from photocal.block.model import Block
-from photocal.results.adjusted import adjust_block
-from photocal.results.folder import result_json
+from photocal.block.results.adjusted import adjust_block
+from photocal.block.results.folder import result_json
 from tests.photocal import networks
 
 REFERENCE = Path(__file__).parents[1] / "reference" / "dcs460"

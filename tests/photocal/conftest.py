@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from photocal.cli import main
+from photocal.commands.cli import main
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import photocal
-from tests.photocal.georeferencing.flights import Errors, Plan, fly
+from tests.photocal.analysis.georeferencing.flights import Errors, Plan, fly
 from tests.photocal.products.test_orthophoto import write_job
 from tests.simulated import PLANS
 from tests.simulated import fly as simulate

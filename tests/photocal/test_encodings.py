@@ -15,14 +15,14 @@ from typer.testing import CliRunner
 
 from acquire.cli import app as acquire
 from acquire.recording.configuration import read_configuration
-from photocal.accuracy.standard import load_standard
+from photocal.analysis.accuracy.standard import load_standard
 from photocal.base.checked_toml import read_tables
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.text_tables import read_columns
 from photocal.block.folder import read_block
+from photocal.block.project import read_project
 from photocal.measurement.image_file import list_images
 from photocal.measurement.image_metadata import read_images
-from photocal.project import read_project
 from photocal.run.calibrations import is_camera_file
 from photocal.run.new_project import new_project
 

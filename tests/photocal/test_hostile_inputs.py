@@ -12,12 +12,13 @@ from pathlib import Path
 import pytest
 
 from acquire.simulate.world.configuration import read_configuration
-from photocal.accuracy.discrepancies import read_discrepancies
-from photocal.accuracy.standard import load_standard
+from photocal.analysis.accuracy.discrepancies import read_discrepancies
+from photocal.analysis.accuracy.standard import load_standard
 from photocal.base.checked_toml import read_tables
 from photocal.base.errors import PhotocalError
 from photocal.base.text_tables import read_columns
 from photocal.block.folder import read_block
+from photocal.block.project import read_project
 from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.opencv import read_opencv
@@ -28,7 +29,6 @@ from photocal.measurement.image_metadata import read_images
 from photocal.measurement.marking.tiles import Tiles
 from photocal.measurement.marks import read_any_marks, read_control_marks
 from photocal.planning.area import read_area
-from photocal.project import read_project
 from photocal.report.issue import read_record
 from tests.evidence.fuzz_readers import readers
 

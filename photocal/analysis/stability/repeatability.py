@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from photocal.base.arrays import Floats
 from photocal.base.policy import policy
+from photocal.block.results.result import AdjustedHead
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
-from photocal.results.result import AdjustedHead
 
 # What a user of the camera feels; distortion is compared over the format.
 PARAMETERS = ("c", "x0", "y0")

@@ -17,6 +17,7 @@ from photocal.base.arrays import Floats, Integers
 from photocal.base.policy import policy
 from photocal.block.model import ROLES
 from photocal.block.network import positions_at
+from photocal.block.results.result import common_values
 from photocal.desk.views.shown import Shown, numbers
 from photocal.findings.finding import Finding
 from photocal.findings.texts import PARAMETERS as PARAMETER_FIGURES
@@ -25,7 +26,6 @@ from photocal.findings.verdict import VerdictLine, alike_findings, every_line, h
 from photocal.geometry.camera import PARAMETERS
 from photocal.navigation.exposures import Exposures
 from photocal.planning.flown import BORDER, GroundCells, cells_seen, level_ground
-from photocal.results.result import common_values
 from photocal.run.exposures import EXPOSURES
 from photocal.run.summary import project_findings, project_verdict
 

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.special import ndtr
 
 from photocal.base.arrays import Floats
+from photocal.block.results.plot import displacement
 from photocal.desk.views.shown import Shown, numbers
 from photocal.geometry.camera import Camera, plane_to_pixel
 from photocal.report.sensor import SensorResiduals, farthest_corner, radial_profile, thinned, to_plane
-from photocal.results.plot import displacement
 
 # Standardised residuals beyond the last bin are counted in it.
 _EDGE, _BINS = 5.0, 40

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.base.web import checked
+from photocal.block.project import LeaveOutKeys
+from photocal.block.results.folder import RESULT
 from photocal.desk.session import Desk
 from photocal.desk.tiles import Pictures
 from photocal.desk.views import overview, pictures
@@ -18,8 +20,6 @@ from photocal.desk.views.plots import plots
 from photocal.desk.views.shown import Shown, adjusted_in, read_shown
 from photocal.findings.texts import LANGUAGES, catalogue
 from photocal.measurement.marking.tiles import TILE_PX, coarsest_level
-from photocal.project import LeaveOutKeys
-from photocal.results.folder import RESULT
 from photocal.run.block import FINDINGS
 from photocal.run.left_out import leave_out, take_back
 from photocal.run.summary import read_json

@@ -14,10 +14,10 @@ from photocal.base.errors import InputNotFoundError
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.network import block_frame
+from photocal.block.results.folder import RESULT, read_result
+from photocal.block.results.result import Result
 from photocal.geometry.frames import LocalFrame
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.results.folder import RESULT, read_result
-from photocal.results.result import Result
 
 
 @dataclass(frozen=True, eq=False)

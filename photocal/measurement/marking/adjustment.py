@@ -42,7 +42,7 @@ class AdjustedMarks:
 def adjust_marks(orientation: Orientation, points: ObjectPoints, marks: Sequence[Mark]) -> AdjustedMarks:
     """Adjust marks."""
     from photocal.block.network import assemble
-    from photocal.results.adjusted import adjusted, given_exposures, observed_residuals
+    from photocal.block.results.adjusted import adjusted, given_exposures, observed_residuals
 
     block, left_out = block_of_marks(orientation, points, marks)
     assembly, solution = adjusted(assemble(block))

@@ -13,13 +13,13 @@ from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.base.files import output_file, rows_text
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, ObjectPoints
+from photocal.block.project import Project
 from photocal.exchange.parts import Mark
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import list_images
 from photocal.measurement.marking.snap import DICTIONARIES
 from photocal.measurement.marks import read_marks
 from photocal.measurement.orientation import Orientation, of_project, of_run
-from photocal.project import Project
 
 # How far viewers turn a picture clockwise, degrees, by its EXIF orientation; mirrored ones are not turned.
 _TURNS = {3: 180, 6: 90, 8: 270}

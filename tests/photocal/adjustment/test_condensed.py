@@ -16,7 +16,7 @@ from photocal.block.network import assemble
 from photocal.hypotheses.causes import Candidates, Cause, candidates, freed
 from photocal.hypotheses.faults import FAULTS
 from photocal.hypotheses.table import Fault
-from tests.photocal.georeferencing.flights import Errors, Plan, fly
+from tests.photocal.analysis.georeferencing.flights import Errors, Plan, fly
 
 ESTIMATED = Plan(
     estimate=("c", "x0", "y0", "K1"), camera_sigma={"c": 0.003, "x0": 0.003, "y0": 0.003}, mounting=""

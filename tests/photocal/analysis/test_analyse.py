@@ -22,11 +22,11 @@ from photocal.base.arrays import as_plain
 from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
-from photocal.cli import app
+from photocal.block.results.adjusted import adjust_block
+from photocal.block.results.folder import block_of_run, read_result
+from photocal.commands.cli import app
 from photocal.geometry.camera import PARAMETERS
 from photocal.report.stored_analysis import read_run
-from photocal.results.adjusted import adjust_block
-from photocal.results.folder import block_of_run, read_result
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from photocal.analysis.estimates import (
 )
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError
-from photocal.cli import app
+from photocal.commands.cli import app
 from photocal.findings.texts import catalogue, finding_text, plain
 
 Rows = list[dict[str, str]]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from photocal.cli import app
+from photocal.commands.cli import app
 
 
 def analysed(*arguments: str | Path) -> list[dict[str, Any]]:

@@ -11,7 +11,7 @@ from photocal.adjustment.adjusted import without_images
 from photocal.adjustment.state import start_state
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
-from tests.photocal.georeferencing.flights import Plan, fly
+from tests.photocal.analysis.georeferencing.flights import Plan, fly
 
 
 def test_positions_and_attitudes_go_with_their_images(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from photocal.base.errors import (
     InputNotFoundError,
     PhotocalError,
 )
-from photocal.cli import app
+from photocal.commands.cli import app
 from photocal.geometry.camera import camera
 
 STUDY = Path(__file__).parents[3] / "configs/studies/canon-elph/calibrations.toml"

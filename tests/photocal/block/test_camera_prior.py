@@ -12,9 +12,9 @@ import pytest
 
 from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.block.folder import read_block
+from photocal.block.results.adjusted import adjust_block
+from photocal.block.results.folder import read_result
 from photocal.geometry.camera import PARAMETERS
-from photocal.results.adjusted import adjust_block
-from photocal.results.folder import read_result
 
 DEMO = Path(__file__).parents[3] / "photocal/demo/dcs460"
 

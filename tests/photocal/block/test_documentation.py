@@ -22,7 +22,7 @@ from photocal.block.folder import (
 )
 from photocal.block.motion import MOTION_COLUMNS
 from photocal.block.setup import Setup
-from photocal.cli import app as photocal_app
+from photocal.commands.cli import app as photocal_app
 from photocal.geometry.camera import PARAMETERS
 
 ROOT = Path(__file__).parents[3]

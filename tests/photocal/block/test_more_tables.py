@@ -15,10 +15,10 @@ import pytest
 
 from photocal.base.errors import ConfigurationError
 from photocal.block.camera_setup import CameraKeys, make_camera
+from photocal.block.results.adjusted_block import adjusted_block
+from photocal.block.results.folder import read_result
+from photocal.block.results.more_tables import Wanted, parse_joint
 from photocal.products.oriented import oriented
-from photocal.results.adjusted_block import adjusted_block
-from photocal.results.folder import read_result
-from photocal.results.more_tables import Wanted, parse_joint
 from tests.photocal.blocks import adjusted_json
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"

@@ -11,15 +11,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.mounting import NADIR, NO_POSITIONS, Attitudes, Mounting
+from photocal.analysis.georeferencing.methods import with_shutters
 from photocal.base.errors import ConfigurationError
 from photocal.block.camera_setup import CameraKeys, make_camera
 from photocal.block.folder import read_block
 from photocal.block.motion import expected_rates, motion_of, velocity_of_neighbours
 from photocal.block.network import assemble
+from photocal.block.results.adjusted import adjust_block
 from photocal.geometry.rotation import object_to_body
 from photocal.geometry.strips import lines_of_places
-from photocal.georeferencing.methods import with_shutters
-from photocal.results.adjusted import adjust_block
 from tests.photocal import blocks
 
 PHANTOM = {

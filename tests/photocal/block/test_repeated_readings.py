@@ -12,8 +12,8 @@ import pytest
 
 from photocal.base.errors import InputMalformedError
 from photocal.block.folder import read_block
+from tests.photocal.analysis.georeferencing.flights import Plan, fly
 from tests.photocal.conftest import Answer
-from tests.photocal.georeferencing.flights import Plan, fly
 
 SIGMA, LIMIT = 0.4, 2.0
 

@@ -12,13 +12,13 @@ from scipy.spatial.transform import Rotation
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.readout import with_lags
 from photocal.adjustment.rig import OF_HEAD
+from photocal.analysis.georeferencing.methods import with_shutters
 from photocal.base.errors import ConfigurationError
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
+from photocal.block.results.adjusted import adjusted, network_of, result_of
+from photocal.block.results.folder import read_covariances, read_result, write_result
 from photocal.block.writer import write_block
-from photocal.georeferencing.methods import with_shutters
-from photocal.results.adjusted import adjusted, network_of, result_of
-from photocal.results.folder import read_covariances, read_result, write_result
 from tests.photocal import blocks, rigs
 
 

@@ -13,11 +13,11 @@ import pytest
 from photocal.base.errors import IllPosedError, InputMalformedError
 from photocal.block.folder import read_block
 from photocal.block.model import Block
+from photocal.block.results.adjusted import adjust_network
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.results.adjusted import adjust_network
+from tests.photocal.analysis.georeferencing.flights import Plan, fly
 from tests.photocal.blocks import adjusted_json
-from tests.photocal.georeferencing.flights import Plan, fly
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 

@@ -12,7 +12,7 @@ import pyarrow.parquet
 import pytest
 from typer.testing import CliRunner
 
-from photocal.cli import app
+from photocal.commands.cli import app
 from tests.photocal.blocks import SQUARE, adjusted_json, dcs460, published
 
 # Names of the study, in the order of its tables.

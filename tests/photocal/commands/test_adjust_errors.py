@@ -284,7 +284,7 @@ def test_an_earlier_run_survives_a_failure(tmp_path: Path, photocal: Callable[..
 
 
 def test_the_process_itself_shows_no_traceback(tmp_path: Path) -> None:
-    program = "from photocal.cli import main; main()"
+    program = "from photocal.commands.cli import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", program, "adjust", str(tmp_path / "none"), "-o", str(tmp_path / "run")],
         capture_output=True,

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from photocal.base.errors import PhotocalError
-from photocal.cli import app
+from photocal.commands.cli import app
 from tests.photocal.commands.mutations import versions
 
 DCS460 = Path(__file__).parents[3] / "photocal/demo/dcs460"

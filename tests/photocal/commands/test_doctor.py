@@ -18,8 +18,8 @@ from typer.testing import CliRunner
 
 from photocal.base import compiled
 from photocal.base.console import Check
-from photocal.cli import app
 from photocal.commands import doctor
+from photocal.commands.cli import app
 from photocal.commands.doctor import examine
 from photocal.findings.texts import catalogue
 

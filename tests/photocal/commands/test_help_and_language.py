@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from acquire.cli import app as acquire_app
-from photocal.cli import app as photocal_app
+from photocal.commands.cli import app as photocal_app
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json, finding_text, plain, spoken
 from photocal.findings.verdict import judge, verdict_json, verdict_text

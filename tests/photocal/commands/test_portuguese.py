@@ -14,7 +14,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from photocal.base.errors import NotSignedError
-from photocal.cli import COMMANDS, app
+from photocal.commands.cli import COMMANDS, app
 from photocal.exchange.exporting import Choices
 from photocal.exchange.formats import named
 from photocal.findings.texts import catalogue
@@ -73,7 +73,7 @@ def english() -> frozenset[str]:
 
 @cache
 def _portuguese_of_studies() -> frozenset[str]:
-    from photocal.studies.study import read_study, shipped
+    from photocal.report.studies.study import read_study, shipped
 
     said = (text for folder in shipped().values() for text in read_study(folder).languages["pt-BR"].values())
     return frozenset(words("\n".join(said)))

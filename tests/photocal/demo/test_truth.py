@@ -7,11 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from photocal.demo.simulated import against_truth, table
-from photocal.geometry.camera import PARAMETERS, camera
-from photocal.geometry.oriented_images import OrientedImages
-from photocal.results.folder import write_result
-from photocal.results.result import (
+from photocal.block.results.folder import write_result
+from photocal.block.results.result import (
     AdjustedPoints,
     BlockFacts,
     CheckSummary,
@@ -20,6 +17,9 @@ from photocal.results.result import (
     Result,
     Software,
 )
+from photocal.demo.simulated import against_truth, table
+from photocal.geometry.camera import PARAMETERS, camera
+from photocal.geometry.oriented_images import OrientedImages
 
 
 def _written(folder: Path, c: float) -> None:

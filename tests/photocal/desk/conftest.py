@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from photocal.base.progress import quiet
-from photocal.project import read_project
+from photocal.block.project import read_project
 from photocal.run.campaign import run_project
 from photocal.run.new_project import new_project
 from tests.conftest import Once

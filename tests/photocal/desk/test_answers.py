@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from photocal.debrief.verdict import Debrief, debrief_json
 from photocal.desk import project_file
 from photocal.desk.jobs import FOLDER, Job, error_of
 from photocal.desk.running import told_stages
 from photocal.findings.finding import Finding
+from photocal.run.debrief.verdict import Debrief, debrief_json
 from tests.conftest import Once
 from tests.photocal.desk.client import Answer, Client, opened
 from tests.photocal.desk.conftest import HOSTILE, fresh

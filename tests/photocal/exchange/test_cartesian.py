@@ -15,14 +15,14 @@ from photocal.adjustment.adjust import adjust
 from photocal.base.errors import ConfigurationError
 from photocal.block.model import Block
 from photocal.block.network import assemble
-from photocal.cli import app
+from photocal.block.results.adjusted import result_of
+from photocal.block.results.adjusted_block import adjusted_block
+from photocal.block.results.folder import read_result, write_result
+from photocal.commands.cli import app
 from photocal.exchange.ground_points import read_gcp_list, read_geo
 from photocal.geometry.camera import camera
 from photocal.geometry.frames import nearest_rotation, reference_frame
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
-from photocal.results.adjusted import result_of
-from photocal.results.adjusted_block import adjusted_block
-from photocal.results.folder import read_result, write_result
 from tests.photocal.exchange.conftest import reconstruction_of, to_adjust, with_roles
 
 # Far from the central meridian: 1.2 degrees of convergence and a scale of 1.0006.

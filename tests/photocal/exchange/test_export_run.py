@@ -14,16 +14,16 @@ from photocal.adjustment.adjust import adjust
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.block.model import Block
 from photocal.block.network import assemble
-from photocal.cli import app
+from photocal.block.results.adjusted import result_of
+from photocal.block.results.adjusted_block import adjusted_block
+from photocal.block.results.folder import read_result, write_result
+from photocal.commands.cli import app
 from photocal.commands.export import FORMATS
 from photocal.exchange.colmap import read_colmap
 from photocal.exchange.exporting import Choices
 from photocal.exchange.formats import FORMATS as ALL
 from photocal.exchange.formats import named
 from photocal.exchange.metashape import read_metashape
-from photocal.results.adjusted import result_of
-from photocal.results.adjusted_block import adjusted_block
-from photocal.results.folder import read_result, write_result
 from tests.photocal.exchange.conftest import residuals_of, roles_of, to_adjust
 
 

@@ -20,6 +20,8 @@ from hypothesis import strategies as st
 
 from photocal.base.errors import PhotocalError
 from photocal.block.model import Block
+from photocal.block.results.adjusted_block import adjusted_block
+from photocal.block.results.folder import read_result
 from photocal.exchange.dbat import read_dbat_cameras
 from photocal.exchange.exporting import Choices
 from photocal.exchange.formats import FORMATS
@@ -35,8 +37,6 @@ from photocal.exchange.orientation_tables import read_matrices, write_matrices
 from photocal.exchange.parts import Mark, PointEntry
 from photocal.exchange.reference_table import read_references, write_references
 from photocal.geometry.camera import Model, camera
-from photocal.results.adjusted_block import adjusted_block
-from photocal.results.folder import read_result
 from tests.photocal.exchange.conftest import reconstruction_of, shown
 
 TEN_GB = 10 << 30

@@ -16,11 +16,11 @@ import pytest
 
 from photocal.base.errors import ConfigurationError, InputNotFoundError
 from photocal.block.model import Block
+from photocal.block.results.folder import read_result
 from photocal.exchange import formats
 from photocal.exchange.exporting import Choices
 from photocal.exchange.formats import read_foreign_project
 from photocal.geometry.camera import camera
-from photocal.results.folder import read_result
 from tests.photocal.exchange import toy_format
 from tests.photocal.exchange.conftest import reconstruction_of, shown, with_roles
 
@@ -61,7 +61,7 @@ def forgotten(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def photocal(installed: Path, *words: object) -> subprocess.CompletedProcess[str]:
     path = os.pathsep.join([str(installed), str(ROOT), *os.environ.get("PYTHONPATH", "").split(os.pathsep)])
     return subprocess.run(
-        [sys.executable, "-c", "from photocal.cli import main; main()", *map(str, words)],
+        [sys.executable, "-c", "from photocal.commands.cli import main; main()", *map(str, words)],
         env={**os.environ, "PYTHONPATH": path},
         capture_output=True,
         text=True,

@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from photocal.analysis.georeferencing.direct import direct_orientation, intersect_points
 from photocal.base.arrays import Integers
 from photocal.block.folder import read_block
 from photocal.block.model import Block, Images, ObjectPoints, Observations
+from photocal.block.results.adjusted import adjust_network
+from photocal.block.results.adjusted_block import adjusted_block
+from photocal.block.results.folder import read_result, write_result
 from photocal.block.writer import write_block
 from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 from photocal.geometry.oriented_images import OrientedImages, oriented_images
-from photocal.georeferencing.direct import direct_orientation, intersect_points
 from photocal.products.kernels import Poses, look_up
 from photocal.products.oriented import lens_tables
-from photocal.results.adjusted import adjust_network
-from photocal.results.adjusted_block import adjusted_block
-from photocal.results.folder import read_result, write_result
 from tests.photocal import flights
 
 Floats = flights.Floats

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import photocal
+from photocal.analysis.georeferencing.findings import block_findings
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_text
-from photocal.georeferencing.findings import block_findings
 from tests.evidence.judging import AS_FLOWN, fly
 from tests.independent.faults import BASE, HIGH, LARGE
 from tests.independent.flights import Design, Errors

@@ -13,9 +13,9 @@ import pytest
 from typer.testing import CliRunner
 
 import photocal
+from photocal.analysis.georeferencing.output import to_json
 from photocal.base.errors import IllPosedError, NotConvergedError
-from photocal.cli import app
-from photocal.georeferencing.output import to_json
+from photocal.commands.cli import app
 from tests.evidence.judging import fly
 from tests.independent.faults import BASE, CLEAN, table
 from tests.independent.flights import Design, Errors

@@ -12,9 +12,9 @@ import pytest
 
 from photocal.adjustment.network import NO_RELATIONS
 from photocal.adjustment.snooping import snoop
+from photocal.block.results.folder import read_result
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.distortion import projected
-from photocal.results.folder import read_result
 from tests.photocal.conftest import Answer
 from tests.photocal.measurement.laboratory import (
     LENS,

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
+from photocal.block.results.folder import read_result
 from photocal.geometry.distortion import projected
-from photocal.results.folder import read_result
 from tests.photocal.conftest import Answer
 from tests.photocal.measurement.laboratory import (
     LENS,

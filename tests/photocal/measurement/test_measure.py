@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import ConfigurationError, InputNotFoundError
+from photocal.block.project import read_project
 from photocal.measurement.options import MeasureOptions
 from photocal.measurement.picture_block import measure
-from photocal.project import read_project
 from tests.photocal.measurement.laboratory import laboratory, picture, write_pictures
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import digest
 from photocal.block.folder import read_block, read_points
+from photocal.block.project import Project, read_project
 from photocal.measurement.image_file import list_images
 from photocal.measurement.orientation import of_exposures
 from photocal.measurement.patch_matching import ImageSource
@@ -25,7 +26,6 @@ from photocal.measurement.plain_targets import (
     predicted_targets,
     targets_of_project,
 )
-from photocal.project import Project, read_project
 
 from .site import GROUND_PX_M, SIDE, Site, flight, plate_place, texture, with_plate
 

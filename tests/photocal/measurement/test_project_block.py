@@ -19,11 +19,11 @@ from photocal.adjustment.adjust import adjust
 from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block
 from photocal.block.network import assemble
+from photocal.block.project import read_project
 from photocal.measurement import oriented_ties
 from photocal.measurement.markers import dictionary
 from photocal.measurement.options import MeasureOptions
 from photocal.measurement.picture_block import measure
-from photocal.project import read_project
 
 from .site import SIDE, Site, flight, plate_place, texture, with_plate
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import InputMalformedError
-from photocal.cli import app
+from photocal.commands.cli import app
 from photocal.measurement.radiometry import edge_mtf, falls_to, linearity, siemens_star, vignetting
 from photocal.report.certificate_metadata import read_particulars
 

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from acquire.cli import app as acquire_app
 from drivers import nmea
 from drivers.frames import GNSS, Frame, StreamFramer, Wire
-from photocal.cli import app as photocal_app
+from photocal.commands.cli import app as photocal_app
 from tests.conftest import Once, needs_engine
 
 ImportLog = Callable[..., Path]

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from drivers.frames import Wire
-from photocal.cli import app
+from photocal.commands.cli import app
 from tests.conftest import needs_engine
 from tests.photocal.navigation.conftest import Run, against_receiver, frames_of, ppk
 

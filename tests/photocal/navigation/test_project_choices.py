@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import InputMalformedError
+from photocal.block.project import AirAtBase, read_project
 from photocal.measurement.image_metadata import read_images
 from photocal.navigation.exposure_run import choices_of_project
-from photocal.project import AirAtBase, read_project
 
 PROJECT = """
 [project]

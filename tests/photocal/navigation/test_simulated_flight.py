@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from photocal.block.project import read_project
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue
 from photocal.navigation.engine import Rtklib
@@ -22,7 +23,6 @@ from photocal.navigation.exposure_run import (
     run_exposures,
 )
 from photocal.navigation.ppk_figures import PpkFigures
-from photocal.project import read_project
 from tests.conftest import needs_engine
 from tests.photocal.findings.english import english
 from tests.simulated import FLIGHT, fly

@@ -16,6 +16,7 @@ from acquire.simulate.gnss.settings import ROVER, SkySettings
 from acquire.simulate.gnss.streams import base_ubx, rover_ubx
 from photocal.base.codec import from_plain
 from photocal.base.errors import ConfigurationError
+from photocal.block.project import AirAtBase
 from photocal.navigation.common_errors import (
     CommonErrors,
     climate,
@@ -29,7 +30,6 @@ from photocal.navigation.ppk import Inputs, PpkResult, options_for, process
 from photocal.navigation.precise_results import ObservationFile, read_observation_file
 from photocal.navigation.survey import KnownMark, MeasuredBaseline, Survey, SurveySetup, run_survey
 from photocal.navigation.time import GpsTime
-from photocal.project import AirAtBase
 from tests.acquire.simulate.gnss.flights import AXES, BASE_DEG, BASE_M, SECOND, Loop, gps_ns
 from tests.conftest import needs_engine
 

@@ -14,9 +14,9 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block
 from photocal.block.network import assemble
-from photocal.results.adjusted import result_of
-from photocal.results.adjusted_block import adjusted_block
-from photocal.results.folder import read_result, write_result
+from photocal.block.results.adjusted import result_of
+from photocal.block.results.adjusted_block import adjusted_block
+from photocal.block.results.folder import read_result, write_result
 
 
 @dataclass

@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 
 from photocal.base.errors import PhotocalError
 from photocal.block.model import Block
-from photocal.cli import app
+from photocal.block.results.adjusted import adjust_network
+from photocal.commands.cli import app
 from photocal.planning.network_file import NetworkPlan, plan_network
-from photocal.results.adjusted import adjust_network
 
 NETWORKS = Path(__file__).parents[3] / "configs" / "networks"
 Floats = NDArray[np.float64]

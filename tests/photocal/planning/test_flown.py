@@ -30,8 +30,8 @@ from photocal.planning.flown import (
     level_ground,
 )
 from photocal.planning.flown_output import write_flown
+from tests.photocal.analysis.georeferencing.flights import Plan, fly
 from tests.photocal.conftest import Answer
-from tests.photocal.georeferencing.flights import Plan, fly
 from tests.simulated import true_poses, world_of
 
 CHANGED = "2025-06-16T12:00:00.000Z"

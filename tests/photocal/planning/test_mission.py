@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.base.geodesy import GeodeticPlace
-from photocal.cli import app
+from photocal.commands.cli import app
 from photocal.planning.area import area_from_corners
 from photocal.planning.flight import FlightRequest, PlannedFlight, PlanningCamera, plan_flight
 from photocal.planning.mission import (

@@ -17,13 +17,13 @@ from photocal.adjustment.mounting import TIME, Positions
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.mounting import make_mounting
+from photocal.block.results.adjusted import adjust_block
 from photocal.block.setup import MountingKeys
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.rotation import angles_from_matrix
 from photocal.planning.position_map import position_differences
-from photocal.results.adjusted import adjust_block
+from tests.photocal.analysis.georeferencing.flights import Errors, Plan, fly
 from tests.photocal.conftest import Answer
-from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 
 def test_differences_are_what_was_put_in() -> None:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError
-from photocal.cli import app
+from photocal.commands.cli import app
 from photocal.products.sections import RingPoints
 from photocal.products.volume import measure_closed, outline_form
 

@@ -17,7 +17,7 @@ from pyproj import CRS
 from typer.testing import CliRunner
 
 from photocal.base.errors import PhotocalError
-from photocal.cli import app
+from photocal.commands.cli import app
 from photocal.products.contours import contour_lines
 from photocal.products.raster import system_wkt, write_terrain
 from photocal.products.terrain import Terrain

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from photocal.base.errors import ConfigurationError
-from photocal.cli import app
+from photocal.commands.cli import app
 from photocal.products.sections import Tank, measure_tank, read_ring_points
 from photocal.products.volume import filling_table, partial_volumes
 

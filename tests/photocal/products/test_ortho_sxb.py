@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from photocal.block.results.adjusted import adjust_block
 from photocal.exchange.formats import read_any_block
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.frames import LocalFrame
@@ -20,7 +21,6 @@ from photocal.products.ortho_job import terrain_points
 from photocal.products.orthophoto import ImageStore, Recipe, Tile, orthophoto
 from photocal.products.raster import read_image
 from photocal.products.terrain import Grid, Terrain, grid_of_points, read_terrain_points
-from photocal.results.adjusted import adjust_block
 
 CELL = 0.1
 SIDE = 100

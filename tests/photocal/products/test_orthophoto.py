@@ -16,6 +16,15 @@ from numpy.typing import NDArray
 
 from photocal.block.folder import read_block
 from photocal.block.model import Block
+from photocal.block.results.folder import write_result
+from photocal.block.results.result import (
+    AdjustedPoints,
+    BlockFacts,
+    CheckSummary,
+    Residuals,
+    Result,
+    Software,
+)
 from photocal.geometry.camera import Camera, Model, camera
 from photocal.geometry.frames import ShiftedFrame
 from photocal.geometry.oriented_images import OrientedImages
@@ -24,8 +33,6 @@ from photocal.products.oriented import ideal_limit
 from photocal.products.ortho_job import displacement, terrain_points
 from photocal.products.orthophoto import ImageStore, Recipe, orthophoto
 from photocal.products.terrain import Grid, Terrain, ground_points
-from photocal.results.folder import write_result
-from photocal.results.result import AdjustedPoints, BlockFacts, CheckSummary, Residuals, Result, Software
 from tests.photocal.products.photo import Lens, Photo
 
 Floats = NDArray[np.float64]

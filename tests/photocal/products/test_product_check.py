@@ -11,8 +11,8 @@ import pytest
 import rasterio  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from photocal.accuracy.assessment import assess
-from photocal.accuracy.standard import Question, load_standard
+from photocal.analysis.accuracy.assessment import assess
+from photocal.analysis.accuracy.standard import Question, load_standard
 from photocal.base.errors import ConfigurationError
 from photocal.block.model import ObjectPoints
 from photocal.products.options import ProductOptions

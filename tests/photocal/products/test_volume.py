@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from photocal.base.errors import ConfigurationError
-from photocal.cli import app
+from photocal.commands.cli import app
 from photocal.products.sections import (
     cylinder_volume,
     measure_tank,

@@ -13,6 +13,8 @@ import pytest
 
 from photocal.analysis.analyse_run import analyse_run, exterior_difference
 from photocal.block.folder import read_block
+from photocal.block.results.adjusted import adjust_block
+from photocal.block.results.folder import read_result
 from photocal.findings.document import (
     Document,
     KeyValues,
@@ -31,9 +33,7 @@ from photocal.report.derived_figures import derived_figures
 from photocal.report.issue import record
 from photocal.report.ministry_rows import Context, entries, read_layout
 from photocal.report.stored_analysis import AnalysedRun, read_run
-from photocal.results.adjusted import adjust_block
-from photocal.results.folder import read_result
-from tests.photocal.georeferencing.flights import Plan, fly
+from tests.photocal.analysis.georeferencing.flights import Plan, fly
 from tests.photocal.report.conftest import DAY
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"

@@ -21,7 +21,7 @@ from pypdf import PdfReader
 from typer.testing import CliRunner
 
 from photocal.base.errors import InputMalformedError
-from photocal.cli import app
+from photocal.commands.cli import app
 from photocal.findings.document import Document, KeyValues, Paragraph, PicturePart, TablePart, html, pdf
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_text, remedy_text, sentence

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import photocal
 from photocal.analysis.outcome import ANALYSIS
-from photocal.cli import app
+from photocal.commands.cli import app
 from tests.evidence.judging import fly
 from tests.independent.faults import BASE, NO_CONTROL
 from tests.independent.flights import Design, Errors

@@ -15,11 +15,11 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from photocal.base.errors import NotSignedError, UnknownSignerError
-from photocal.cli import app
+from photocal.block.results.adjusted import adjust_block
+from photocal.block.results.folder import BlockSource
+from photocal.commands.cli import app
 from photocal.report.issue import read_record
 from photocal.report.verification import pages_of, repeated
-from photocal.results.adjusted import adjust_block
-from photocal.results.folder import BlockSource
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 HTML, PDF, RECORD = "certificate.html", "certificate.pdf", "certificate.json"

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from photocal.base.errors import ConfigurationError, InputMalformedError
-from photocal.cli import app
+from photocal.commands.cli import app
 from photocal.findings.document import KeyValues, PicturePart, TablePart
 from photocal.findings.texts import catalogue
 from photocal.report.ministry_rows import FORMS, ROLLS_DEG, field_forms, planned_places

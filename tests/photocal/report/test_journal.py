@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from photocal.results.adjusted import adjust_block
+from photocal.block.results.adjusted import adjust_block
 from tests.photocal.conftest import Answer
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
-from photocal.results.adjusted import adjust_block
+from photocal.block.results.adjusted import adjust_block
 from tests.photocal.conftest import Answer
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from photocal.cli import app
+from photocal.commands.cli import app
 from photocal.report.required_sections import combined
 
 

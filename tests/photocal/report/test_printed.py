@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from photocal.cli import app
+from photocal.commands.cli import app
 from photocal.report.derived_figures import check_printed
 
 STUDY = Path(__file__).parents[3] / "configs" / "studies" / "phantom4pro" / "calibration.toml"

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
+from photocal.block.results.adjusted import adjust_block
 from photocal.findings.texts import catalogue
 from photocal.report.signing import STAMP, stamp, stamped
-from photocal.results.adjusted import adjust_block
 from tests.photocal.conftest import Answer
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"

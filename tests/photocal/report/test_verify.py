@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
 from photocal.base.errors import InputMalformedError, NotSignedError
-from photocal.cli import app
+from photocal.block.results.adjusted import adjust_block
+from photocal.block.results.folder import BlockSource
+from photocal.block.results.more_tables import Wanted
+from photocal.commands.cli import app
 from photocal.report.issue import read_record
 from photocal.report.verification import as_certified, differences, record_of, repeated
-from photocal.results.adjusted import adjust_block
-from photocal.results.folder import BlockSource
-from photocal.results.more_tables import Wanted
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 
@@ -71,7 +71,14 @@ def test_it_verifies_with_other_arithmetic(elsewhere: Path) -> None:
     """Other kernels of the linear algebra, another number of threads: the last bits differ."""
     machine = {"OPENBLAS_CORETYPE": "Nehalem", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
     done = subprocess.run(
-        [sys.executable, "-c", "from photocal.cli import main; main()", "verify", elsewhere, "--json"],
+        [
+            sys.executable,
+            "-c",
+            "from photocal.commands.cli import main; main()",
+            "verify",
+            elsewhere,
+            "--json",
+        ],
         env={**os.environ, **machine},
         cwd=elsewhere,
         capture_output=True,

@@ -8,8 +8,8 @@ import pytest
 
 from photocal.adjustment.adjusted import fit
 from photocal.block.model import Block
-from photocal.results.adjusted import network_of, state_of
-from photocal.results.folder import read_result
+from photocal.block.results.adjusted import network_of, state_of
+from photocal.block.results.folder import read_result
 
 
 def without_analysis(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,6 +15,9 @@ import pytest
 from photocal.base.errors import IllPosedError, InputMalformedError
 from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block
+from photocal.block.results.adjusted import adjust_block
+from photocal.block.results.adjusted_block import adjusted_block
+from photocal.block.results.folder import read_result
 from photocal.block.writer import write_block
 from photocal.exchange.exporting import Choices
 from photocal.exchange.formats import named, read_foreign_project
@@ -22,9 +25,6 @@ from photocal.exchange.pinhole import to_pinhole, to_vision
 from photocal.geometry.camera import PARAMETERS, Model, camera
 from photocal.geometry.frames import ReferenceFrame
 from photocal.geometry.oriented_images import given_places
-from photocal.results.adjusted import adjust_block
-from photocal.results.adjusted_block import adjusted_block
-from photocal.results.folder import read_result
 from photocal.run import adopt as module
 from photocal.run.adoption_figures import adoption_text, rounded
 from tests.photocal.exchange.conftest import reconstruction_of, roles_of, shown, to_adjust, with_roles

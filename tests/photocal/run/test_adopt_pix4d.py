@@ -18,15 +18,15 @@ from pyproj import CRS
 
 from photocal.base.errors import PhotocalError
 from photocal.block.model import Block
+from photocal.block.results.adjusted import adjust_block
+from photocal.block.results.adjusted_block import adjusted_block
+from photocal.block.results.folder import read_result
+from photocal.block.results.result import Result
 from photocal.block.writer import write_block
 from photocal.exchange.formats import read_foreign_project
 from photocal.geometry.camera import PARAMETERS, camera
 from photocal.geometry.frames import ReferenceFrame
 from photocal.geometry.oriented_images import given_places, given_poses
-from photocal.results.adjusted import adjust_block
-from photocal.results.adjusted_block import adjusted_block
-from photocal.results.folder import read_result
-from photocal.results.result import Result
 from photocal.run import adopt as module
 from photocal.run.adoption_figures import adoption_text
 from tests.photocal.exchange.conftest import reconstruction_of, roles_of, shown, to_adjust, with_roles

@@ -12,12 +12,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from photocal.block.model import Block
+from photocal.block.results.adjusted import adjust_block
+from photocal.block.results.adjusted_block import adjusted_block
+from photocal.block.results.folder import read_result
+from photocal.block.results.result import Result
 from photocal.block.writer import write_block
 from photocal.geometry.camera import PARAMETERS
-from photocal.results.adjusted import adjust_block
-from photocal.results.adjusted_block import adjusted_block
-from photocal.results.folder import read_result
-from photocal.results.result import Result
 from photocal.run import adopt as module
 from tests.photocal.exchange.conftest import to_adjust
 from tests.photocal.exchange.rig_projects import LAYOUTS, NOISE_PX, SURVEY_M, on_a_frame, project

@@ -16,14 +16,14 @@ from pyproj import Transformer
 from photocal.adjustment.mounting import HEIGHT_SCALE, SHIFT
 from photocal.block.folder import read_block
 from photocal.block.model import Block
+from photocal.block.project import read_project
 from photocal.navigation.attitude import from_angles
 from photocal.navigation.common_errors import CommonErrors, DelayLapse
 from photocal.navigation.exposures import Exposures
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import InterpolatedPositions
-from photocal.project import read_project
 from photocal.run.block import block_stage
-from tests.photocal.georeferencing.flights import Errors, Plan, fly
+from tests.photocal.analysis.georeferencing.flights import Errors, Plan, fly
 
 PROJECT = """
 [project]

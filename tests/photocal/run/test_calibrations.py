@@ -11,11 +11,11 @@ import pytest
 from typer.testing import CliRunner
 
 from photocal.base.errors import ConfigurationError, InputNotFoundError
-from photocal.cli import app
+from photocal.block.results.adjusted import adjust_block
+from photocal.commands.cli import app
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import issue
-from photocal.results.adjusted import adjust_block
-from tests.photocal.georeferencing.flights import Errors, Plan, fly
+from tests.photocal.analysis.georeferencing.flights import Errors, Plan, fly
 from tests.photocal.report.runs import invented
 
 RIG = Errors(lever_arm_m=(0.1, -0.05, -0.2), boresight_deg=(0.4, -0.3, 0.5), time_offset_s=0.008)

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from photocal.block.project import read_project
 from photocal.measurement.image_file import list_images
-from photocal.project import read_project
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "dji-xmp"
 THERMAL = sorted((DATA / "h20t").glob("*.JPG"))

@@ -18,10 +18,10 @@ import pytest
 from photocal.base import compiled
 from photocal.base.errors import InputNotFoundError
 from photocal.base.progress import Standing, quiet
-from photocal.project import read_project
+from photocal.block.project import read_project
 from photocal.run.campaign import run_project, run_projects
 from photocal.run.course import COMPILING
-from tests.photocal.georeferencing.flights import Errors, Plan, fly
+from tests.photocal.analysis.georeferencing.flights import Errors, Plan, fly
 
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 DAY = dt.date(2025, 6, 16)

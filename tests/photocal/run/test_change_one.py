@@ -13,8 +13,8 @@ import pytest
 
 from photocal.base.arrays import Floats
 from photocal.base.progress import quiet
-from photocal.project import read_project
-from photocal.results.folder import read_result
+from photocal.block.project import read_project
+from photocal.block.results.folder import read_result
 from photocal.run.campaign import run_project
 from tests.evidence.judging import fly
 from tests.independent.flights import Design, Errors

@@ -12,7 +12,7 @@ import pytest
 
 from photocal.adjustment.network import RELATIONS
 from photocal.block.folder import read_block
-from photocal.results.folder import read_result
+from photocal.block.results.folder import read_result
 from photocal.run.block import known_distances
 from tests.photocal.conftest import Answer
 from tests.photocal.run.typed_site import Row, resized, site_folder

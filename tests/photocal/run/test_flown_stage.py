@@ -15,18 +15,18 @@ import pytest
 from PIL import Image
 
 from photocal.base.progress import quiet
+from photocal.block.project import Project, read_project
+from photocal.block.results.adjusted import adjust_block
 from photocal.planning.options import FlownOptions
 from photocal.products.raster import write_terrain
 from photocal.products.terrain import Terrain
-from photocal.project import Project, read_project
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import issue
-from photocal.results.adjusted import adjust_block
 from photocal.run.campaign import stages
 from photocal.run.flown import flown_stage, measure_flown
 from photocal.run.stage import Digests, update_stage
+from tests.photocal.analysis.georeferencing.flights import FOCAL_MM, PITCH_MM, Plan, fly
 from tests.photocal.conftest import Answer
-from tests.photocal.georeferencing.flights import FOCAL_MM, PITCH_MM, Plan, fly
 
 DAY = dt.date(2026, 11, 23)
 # Exposure time (s) and sensitivity of the pictures in turn.

@@ -13,9 +13,9 @@ import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
+from photocal.block.project import read_project
 from photocal.measurement.image_file import list_images
 from photocal.measurement.marks import read_marks
-from photocal.project import read_project
 from tests.photocal.run.test_exported_tables import Photocal
 
 START = dt.datetime(2025, 6, 15, 14, 0, 0)

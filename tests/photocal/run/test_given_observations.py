@@ -10,7 +10,7 @@ import pytest
 from photocal.base.errors import InputMalformedError
 from photocal.block.folder import read_images
 from photocal.block.model import Images
-from photocal.project import Project, read_project
+from photocal.block.project import Project, read_project
 from photocal.run.measurements import given_block
 
 PROJECT = """

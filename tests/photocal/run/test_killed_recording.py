@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from acquire.simulate.hardware import awaited, on_ports, record_settings
 from acquire.simulate.playback import FlightClock, PlayedFlight, read_flight
 from acquire.simulate.world.streams import RecordedWire
-from photocal.cli import app
+from photocal.commands.cli import app
 from tests.acquire.live import Recorder, await_frame, frames_in, free_port, until
 from tests.conftest import needs_engine
 from tests.simulated import PLANS, simulate

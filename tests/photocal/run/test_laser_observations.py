@@ -20,9 +20,9 @@ from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.network import assemble
+from photocal.block.project import read_project
 from photocal.block.writer import write_block
 from photocal.findings.texts import catalogue, finding_text, plain
-from photocal.project import read_project
 from photocal.run import laser_distances
 from photocal.run.laser_distances import with_lasers
 from tests.photocal.canopies import OFFSET_M, SCALE, C, Canopy, fly

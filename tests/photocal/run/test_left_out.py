@@ -10,10 +10,10 @@ import pytest
 from photocal.base.errors import ConfigurationError
 from photocal.block.folder import read_block
 from photocal.block.model import Block
+from photocal.block.project import LeaveOutKeys, read_project
 from photocal.findings.finding import Finding
-from photocal.project import LeaveOutKeys, read_project
 from photocal.run.left_out import leave_out, left_out, settled, take_back
-from tests.photocal.georeferencing.flights import Plan, fly
+from tests.photocal.analysis.georeferencing.flights import Plan, fly
 
 PROJECT = """# of the field
 [project]

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from photocal.cli import app
+from photocal.block.results.adjusted import adjust_network
+from photocal.block.results.folder import read_result
+from photocal.commands.cli import app
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.measurement.maker_camera import tag_finding
-from photocal.results.adjusted import adjust_network
-from photocal.results.folder import read_result
 from photocal.run.summary import calibration_findings
 from tests.photocal import tagged
 

@@ -14,11 +14,11 @@ from PIL.TiffImagePlugin import IFDRational
 from photocal.base.errors import ConfigurationError, InputNotFoundError, OutputError
 from photocal.block.folder import read_points
 from photocal.block.model import ROLES
+from photocal.block.project import read_project
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.marks import read_marks
 from photocal.measurement.picture_block import pictures_of_heads
-from photocal.project import read_project
 from photocal.run.campaign import stages
 from photocal.run.new_project import new_project
 from photocal.run.project_checks import check_project, facts_of_pictures

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from photocal.base.errors import ConfigurationError
-from photocal.project import read_project
+from photocal.block.project import read_project
 from photocal.run.output_place import STAGES, check_output
 
 PROJECT = """

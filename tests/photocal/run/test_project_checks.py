@@ -12,10 +12,10 @@ import pytest
 from photocal.base.errors import ConfigurationError
 from photocal.block.folder import read_block
 from photocal.block.model import Block
-from photocal.project import read_project
+from photocal.block.project import read_project
 from photocal.run.project_checks import check_project, check_rays
 from tests.evidence.wrong_projects import CASES, Wrong, ending
-from tests.photocal.georeferencing.flights import Errors, Plan, fly
+from tests.photocal.analysis.georeferencing.flights import Errors, Plan, fly
 
 PROJECT = """[project]
 name = "practice"

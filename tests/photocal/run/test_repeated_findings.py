@@ -19,17 +19,17 @@ import pytest
 from photocal.analysis.analyse_run import analyse_run
 from photocal.base.progress import quiet
 from photocal.block.folder import read_block
+from photocal.block.project import Project, read_project
+from photocal.block.results.adjusted import adjust_block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json
-from photocal.project import Project, read_project
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import issue
-from photocal.results.adjusted import adjust_block
 from photocal.run.calibration import certificate_stage
 from photocal.run.georeferencing import georeferencing_stage
 from photocal.run.summary import gather
+from tests.photocal.analysis.georeferencing.flights import Plan, fly
 from tests.photocal.conftest import Answer
-from tests.photocal.georeferencing.flights import Plan, fly
 
 DAY = dt.date(2026, 11, 23)
 FORGED_DAY = dt.date(2031, 1, 1)

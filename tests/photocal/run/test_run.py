@@ -14,8 +14,8 @@ from photocal.base.codec import parsed_json
 from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError
 from photocal.block.folder import read_block
 from photocal.block.model import Block
-from photocal.cli import app
-from tests.photocal.georeferencing.flights import Errors, Plan, fly
+from photocal.commands.cli import app
+from tests.photocal.analysis.georeferencing.flights import Errors, Plan, fly
 
 PLAN = Plan(
     heights_m=(80.0, 110.0),
@@ -86,7 +86,7 @@ def test_a_ready_block_is_read_once_and_adjusted_five_times_at_most(
 
     for reader in ("photocal.block.folder.read_block", "photocal.run.campaign.read_block"):
         monkeypatch.setattr(reader, counted)
-    monkeypatch.setattr("photocal.results.folder.parsed_json", parsed)
+    monkeypatch.setattr("photocal.block.results.folder.parsed_json", parsed)
     for kept in (False, True):
         figures = json.loads(run(str(path), "--json").stdout)
         assert all(one["kept"] is kept for one in figures["stages"])

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
+from photocal.block.project import read_project
 from photocal.geometry.systems import heights_at
 from photocal.measurement.marks import read_marks
-from photocal.project import read_project
 from photocal.run.project_checks import check_project
 from tests.photocal.conftest import Answer
 from tests.photocal.run.typed_site import CRS, MIDDLE, Row, resized, site_folder

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import photocal
 from photocal.base.extensions import HYPOTHESES, LENSES, STAGES, STANDARDS
-from tests.photocal.georeferencing.flights import Errors, Plan, fly
+from tests.photocal.analysis.georeferencing.flights import Errors, Plan, fly
 
 ROOT, HERE = Path(__file__).parents[3], Path(__file__).parent
 SIZE = 1200

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from photocal.base.progress import Progress
-from photocal.project import Project
-from photocal.results.result import Result
+from photocal.block.project import Project
+from photocal.block.results.result import Result
 from photocal.run.stage import AddedStage
 
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from acquire.cli import app as acquire_app
 from acquire.simulate.gnss.settings import ROVER, SkySettings
-from photocal.cli import app as photocal_app
+from photocal.commands.cli import app as photocal_app
 from tests.acquire.simulate.gnss.flights import (
     AXES,
     BASE_M,

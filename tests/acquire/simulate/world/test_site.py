@@ -48,7 +48,7 @@ def test_a_site_names_nothing_of_the_truth(small: Flight) -> None:
 
 
 def test_the_project_file_is_one(small: Flight) -> None:
-    from photocal.project import read_project
+    from photocal.block.project import read_project
 
     project = read_project(small.folder / "site/project.toml")
     assert project.crs == "EPSG:31982"

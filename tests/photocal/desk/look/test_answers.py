@@ -12,8 +12,8 @@ import pytest
 import rasterio  # type: ignore[import-untyped]
 from PIL import Image
 
+from photocal.block.project import read_project
 from photocal.measurement.marks import read_marks
-from photocal.project import read_project
 from tests.photocal.desk.client import Client, opened
 from tests.photocal.desk.look.surveys import GROSS_IMAGE, GROSS_POINT, small, with_control
 from tests.photocal.measurement.site import flight

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from photocal.base.web import Address, serving
+from photocal.block.project import read_project
 from photocal.desk.standing import marking_application
 from photocal.measurement.marking.store import MarkStore, scene_of_folder, scene_of_project
-from photocal.project import read_project
 from tests.photocal.conftest import Answer
 from tests.photocal.measurement.marking.conftest import Survey
 

@@ -35,7 +35,7 @@ expect = pytest.importorskip(
 
 PATIENCE_MS = 60_000
 expect.set_options(timeout=PATIENCE_MS)
-COMMAND = "from photocal.cli import main; main()"
+COMMAND = "from photocal.commands.cli import main; main()"
 Serve = Callable[..., subprocess.Popen[str]]
 READY = ".marking[data-ready]"
 # What the place knows, and the pictures that it shows.

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from photocal.block.folder import read_points
+from photocal.block.project import read_project
 from photocal.exchange.parts import Mark
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.marking.adjustment import adjust_marks
 from photocal.measurement.orientation import WITHIN_95, Orientation, ellipse, of_project, of_run, predict
-from photocal.project import read_project
 from tests.photocal.measurement.marking.conftest import IMAGES, POINTS, Survey
 
 
@@ -130,9 +130,9 @@ def test_images_without_exposures_need_marks_enough(flown: Survey) -> None:
 
 
 def test_a_run_folder_says_how_images_are_oriented(survey: Survey) -> None:
+    from photocal.block.results.adjusted import adjust_block
     from photocal.block.writer import write_block
     from photocal.measurement.marking.adjustment import block_of_marks
-    from photocal.results.adjusted import adjust_block
 
     own, points = known(survey), read_points(survey.folder / "control.csv")
     block, _ = block_of_marks(own, points, true_marks(survey))

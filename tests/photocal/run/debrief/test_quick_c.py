@@ -1,0 +1,59 @@
+"""c of the quick calibration where positions are worse, together, than each of them says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from photocal.adjustment.adjust import adjust
+from photocal.adjustment.solution import Solution
+from photocal.findings.texts import catalogue
+from photocal.measurement.tie_adjustment import told_by_rays
+from photocal.run.debrief.verdict import measured_text
+from tests.photocal.networks import convergent, lens, observe
+
+STATED_M, FLIGHTS = 0.002, 20
+CAMERA = lens(estimate=("c",))
+
+
+def adjusted(seed: int, error_m: float) -> tuple[Solution, Solution]:
+    """A block with positions that are off by so much more than stated, with these as stated and loose."""
+    rng = np.random.default_rng(seed)
+    sigma = np.repeat([np.inf, STATED_M], 3)
+    scene = convergent((CAMERA,), images=12, points=60, seed=seed)
+    network = observe(scene, rng, exposure_sigma=sigma, point_sigma=np.inf)
+    values = network.exposures.values.copy()
+    values[:, 3:] += error_m * rng.normal(size=(12, 3))
+    exposures = replace(network.exposures, values=values)
+    loosely = replace(exposures, sigma=10.0 * exposures.sigma)
+    return adjust(replace(network, exposures=exposures)), adjust(replace(network, exposures=loosely))
+
+
+def rms_of_c(solutions: list[Solution | None]) -> float:
+    """Root mean square of the errors of c in their standard deviations."""
+    z = [(s.cameras[0, 0] - CAMERA.values[0]) / np.sqrt(s.camera_covariance[0, 0, 0]) for s in solutions if s]
+    assert len(z) == FLIGHTS
+    return float(np.sqrt(np.mean(np.square(z))))
+
+
+def test_positions_that_pull_c_do_not_tell_it() -> None:
+    pairs = [adjusted(seed, 10.0 * STATED_M) for seed in range(FLIGHTS)]
+    assert rms_of_c([stated for stated, _ in pairs]) > 1.8
+    # 99.9 % of a chi-square of 20.
+    assert rms_of_c([told_by_rays(*pair) for pair in pairs]) < 1.51
+
+
+def test_positions_as_they_say_tell_it() -> None:
+    pairs = [adjusted(seed, 0.0) for seed in range(FLIGHTS)]
+    assert sum(told_by_rays(*pair) is pair[0] for pair in pairs) >= FLIGHTS - 1
+    assert told_by_rays(pairs[0][0], None) is pairs[0][0]
+    assert told_by_rays(None, None) is None
+
+
+@pytest.mark.parametrize(("language", "said"), [("en", "c 839.1 ± 3.9 px"), ("pt-BR", "c 839,1 ± 3,9 px")])
+def test_c_is_said_with_the_decimals_of_its_standard_deviation(language: str, said: str) -> None:
+    figures = {"camera": "m4e", "unit": "px", "c": 839.136, "sigma": 3.94}
+    (line,) = measured_text([("debrief.camera", figures)], catalogue(language))
+    assert line.endswith(said)
