@@ -18,7 +18,7 @@ from acquire.log.reader import LogReader, link_of, read_json
 from drivers.frames import Batch, Wire
 from drivers.identify import batch_of_payloads, kind_name
 from drivers.mavlink.decode import decode, sequences, sources
-from drivers.mavlink.dialect import Dialect
+from drivers.mavlink.dialect import Dialect, ardupilotmega
 from drivers.protocols import known_wire
 from photocal.base.arrays import Bytes, Floats, Integers, picked
 from photocal.base.sentences import Texts
@@ -304,12 +304,12 @@ class LinkSummary:
         }
 
 
-def summarise(path: Path, dialect: Dialect) -> dict[str, Any]:
+def summarise(path: Path) -> dict[str, Any]:
     """Read a flight log, count what it holds, and judge it.
 
     raises InputNotFoundError, InputMalformedError: see `LogReader.chunks`.
     """
-    reader = LogReader(path)
+    reader, dialect = LogReader(path), ardupilotmega()
     links: dict[str, LinkSummary] = {}
     fixes: dict[str, Counter[str]] = {}
     topics: Counter[tuple[str, str, str]] = Counter()

@@ -113,10 +113,9 @@ def info(log: Log, types: Types = False, language: Language = "", as_json: AsJso
     Example: `acquire info flight.mcap`
     """
     from acquire.channels.summary import summarise
-    from drivers.mavlink.dialect import ardupilotmega
 
     say = texts(spoken(language))
-    figures = summarise(log, ardupilotmega())
+    figures = summarise(log)
     answer(as_json, lambda: figures, lambda: _text(figures, say, types=types))
 
 

@@ -17,11 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.equations import Equations
 from photocal.base.arrays import Columns, Floats, Integers
-from photocal.geometry.rotation import left_jacobian, skew, turned
+from photocal.geometry.rotation import NADIR, left_jacobian, skew, turned
 
-# Camera axes (x right, y up in the image, z backwards) of a camera that looks down, the upper edge of its
-# image forward, in terms of body axes (forward, right, down).
-NADIR = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _UP = np.array([0.0, 0.0, 1.0])
 
 # What is common to all exposures: 3 lever arm (m), 3 boresight (rad), 1 time offset (s), 3 shift (m) and 1

@@ -8,7 +8,6 @@ finds with a stated power (Baarda 1968); external reliability the effect of such
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from photocal.adjustment.envelope import selected_inverse
 from photocal.adjustment.factored import Factored, covariance_column, factored
@@ -20,6 +19,7 @@ from photocal.adjustment.score import followed_by
 from photocal.adjustment.sensitivity import point_effects
 from photocal.adjustment.solution import Solution
 from photocal.base.arrays import Floats
+from photocal.base.chi_square import noncentrality
 from photocal.base.policy import policy
 from photocal.geometry.camera import PARAMETERS
 
@@ -50,14 +50,6 @@ class Reliability:
     control_bias: Floats
     control_external: Floats
     control_on_c: Floats
-
-
-def noncentrality(
-    significance: float = policy.significance, power: float = policy.power, dimensions: int = 1
-) -> float:
-    """Shift of a standardised residual that its two-sided test finds with a stated power."""
-    limit = special.chdtri(dimensions, significance)
-    return float(np.sqrt(special.chndtrinc(limit, dimensions, 1.0 - power)))
 
 
 def minimal_detectable_bias(sigma: Floats, redundancy: Floats, delta0: float) -> Floats:

@@ -19,12 +19,12 @@ from photocal.base.arrays import as_plain
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.base.files import digest, output_file, write_json
 from photocal.base.policy import policy
+from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock, assemble, block_frame
 from photocal.block.results.adjusted import adjust_network, network_of, state_of
 from photocal.block.results.folder import RESULT, block_of_run, read_result
 from photocal.block.results.result import Result
-from photocal.exchange.formats import read_any_block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_text, need_words, plain
 from photocal.geometry.oriented_images import local_poses
@@ -65,7 +65,7 @@ def analyse_run(
     done: Callable[[float], None] = lambda _: None,
     say: Catalogue | None = None,
     draws: int = 0,
-    read: Callable[[Path], Block] = read_any_block,
+    read: Callable[[Path], Block] = read_block,
 ) -> Outcome:
     """Analyse a run and write `analysis.json` into its folder: it then goes into the certificate.
 

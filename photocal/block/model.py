@@ -18,8 +18,8 @@ from photocal.adjustment.mounting import (
     Positions,
 )
 from photocal.adjustment.network import NO_RELATIONS, Relations
-from photocal.adjustment.solution import Sided
 from photocal.base.arrays import Columns, Flags, Floats, Integers
+from photocal.base.chi_square import Sided
 from photocal.base.files import digest
 from photocal.block.rig import Head
 from photocal.geometry.camera import Camera

@@ -171,7 +171,9 @@ def analyse(
         )
         return
     with progress("adjusting again", 1.0) as advance:
-        outcome = analyse_run(run, analysis.block, *levels, advance, stored, analysis.bootstrap)
+        outcome = analyse_run(
+            run, analysis.block, *levels, advance, stored, analysis.bootstrap, read_any_block
+        )
     made = read_run(run)
     given = overall(made, (), stage_findings(run))
     answer(

@@ -29,10 +29,9 @@ def fly(recording: Path, output: Path) -> tuple[str, ...]:
     """Import a recording as flight log and say in three lines what it holds."""
     from acquire.channels.summary import summarise
     from acquire.importing.importer import import_recordings
-    from drivers.mavlink.dialect import ardupilotmega
 
     import_recordings([], [recording], output / "flight.mcap", lambda _: None)
-    return tuple(_lines(summarise(output / "flight.mcap", ardupilotmega())))
+    return tuple(_lines(summarise(output / "flight.mcap")))
 
 
 def _lines(figures: dict[str, Any]) -> list[str]:

@@ -7,6 +7,9 @@ import numpy as np
 
 from photocal.base.arrays import Floats
 
+# Camera axes (x right, y up in the image, z backwards) of a camera that looks down, the upper edge of its
+# image forward, in terms of body axes (forward, right, down).
+NADIR = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 # East, north, up to north, east, down.
 TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 

@@ -4,9 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photocal.adjustment.reliability import noncentrality
-from photocal.adjustment.solution import GlobalTest, global_test
 from photocal.base.arrays import Floats
+from photocal.base.chi_square import GlobalTest, global_test, noncentrality
 from photocal.base.errors import IllPosedError
 from photocal.base.policy import policy
 from photocal.navigation.trajectory import enu_axes_at

@@ -8,13 +8,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from acquire.channels.mounting import CAMERA_PLACE_SIGMA_M, MOUNT_SIGMA_DEG, AutopilotMounting
-from photocal.adjustment.mounting import NADIR
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.block.camera_setup import Sigma, sigmas
 from photocal.block.mounting import BODY_AXES
 from photocal.block.setup import MountingKeys
 from photocal.findings.finding import Finding
+from photocal.geometry.rotation import NADIR
 
 
 @dataclass(frozen=True)

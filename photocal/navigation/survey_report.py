@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from photocal.adjustment.ellipses import ellipses
 from photocal.base.arrays import Floats, as_plain, picked
+from photocal.base.ellipses import ellipses
 from photocal.base.files import write_rows
 from photocal.base.geodesy import geodetic
 from photocal.base.policy import policy

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from photocal.adjustment.solution import global_test
 from photocal.base.arrays import Floats, as_plain
+from photocal.base.chi_square import global_test
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError, PhotocalError
 from photocal.base.files import output_picture
 from photocal.base.text_tables import read_table, refuse

@@ -185,7 +185,9 @@ def repeated(
         if analysis is not None:
             asked = analysis["alpha"], analysis["correlation_threshold"]
             draws = analysis.get("bootstrap_draws", 0)
-            analyse_run(aside / "run", copied.path, *asked, lambda _: done(), draws=draws)
+            analyse_run(
+                aside / "run", copied.path, *asked, lambda _: done(), draws=draws, read=read_any_block
+            )
         return read_run(aside / "run")
 
 

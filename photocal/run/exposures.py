@@ -11,6 +11,7 @@ from photocal.base.progress import Progress
 from photocal.block.project import Project
 from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.exposure_files import with_images
+from photocal.navigation.exposures import Exposures
 from photocal.navigation.ppk_figures import FIGURES as PPK_FIGURES
 from photocal.navigation.ppk_figures import PpkFigures
 from photocal.run.ppk import TRAJECTORY, ppk_stage
@@ -141,3 +142,15 @@ def exposures_of(project: Project, show: Progress) -> "tuple[ExposureRun, Camera
     finally:
         digests.keep()
     return *_placed(project, made_in(project.output) / stage.name), ""
+
+
+def fixes_of_images(path: Path) -> dict[str, str] | None:
+    """Whether the position of each image was fixed, float or single, by name; None without a flight."""
+    if not path.is_file():
+        return None
+    exposures = Exposures.read(path)
+    return {
+        name: str(status)
+        for names, status in zip(exposures.images, exposures.placed.status, strict=True)
+        for name in names
+    }

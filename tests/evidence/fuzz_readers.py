@@ -234,7 +234,6 @@ def _flight(folder: Path) -> Iterator[Reader]:
         '[recording]\noutput = "logs"\n[[link]]\nname = "v"\nprotocol = "mavlink"\nurl = "udp://:1"\n'
     )
     yield Reader("TOML", settings, read_configuration)
-    dialect = ardupilotmega()
     for path in sorted((practice / "site").glob("*.*")):
         data = path.read_bytes()[:60_000]
         if path.suffix not in (".ubx", ".tlog", ".rtcm3"):
@@ -247,7 +246,7 @@ def _flight(folder: Path) -> Iterator[Reader]:
         yield Reader("archives", packed, lambda p: _imported(p))
         log = folder / f"log-{path.name}.mcap"
         _call(acquire_app, "import", short, "-o", log)
-        yield Reader("MCAP", log, lambda p: summarise(p, dialect))
+        yield Reader("MCAP", log, summarise)
         yield Reader("MCAP", log, lambda p: recover(p, p.with_name("fixed.mcap")))
     mrk = folder / "x_Timestamp.MRK"
     place = "47.6436873208,Lat\t16.4759271684,Lon\t512.998,Ellh\t0.014391, 0.013698, 0.029694\t50,Q\n"

@@ -17,8 +17,8 @@ import numpy as np
 from scipy import stats
 
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.solution import global_test
 from photocal.base.arrays import Floats
+from photocal.base.chi_square import global_test
 from photocal.base.progress import quiet
 from photocal.base.workers import run_tasks
 from photocal.block.results.adjusted import adjust_block

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from acquire.simulate.world.motion import Waves, make_waves
-from photocal.adjustment.mounting import COMMON, NADIR, Attitudes, Mounting, Positions
+from photocal.adjustment.mounting import COMMON, Attitudes, Mounting, Positions
 from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, point_weights
 from photocal.adjustment.solution import Solution
 from photocal.block.motion import expected_rates, velocity_of_neighbours
 from photocal.geometry.camera import PARAMETERS, Camera, Model, camera
 from photocal.geometry.distortion import projected
-from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+from photocal.geometry.rotation import NADIR, angles_from_matrix, matrix_from_angles
 
 Floats = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.lasers import LaserDistances
-from photocal.adjustment.mounting import NADIR, Attitudes, Mounting, Positions
+from photocal.adjustment.mounting import Attitudes, Mounting, Positions
 from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, Relations, point_weights
 from photocal.geometry.camera import PARAMETERS, Affinity, AffinityForm, Camera, Model, camera
 from photocal.geometry.distortion import projected
-from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+from photocal.geometry.rotation import NADIR, angles_from_matrix, matrix_from_angles
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

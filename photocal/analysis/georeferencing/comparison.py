@@ -11,7 +11,6 @@ import numpy as np
 from scipy import special
 from scipy.linalg import block_diag
 
-from photocal.adjustment.ellipses import ellipses
 from photocal.adjustment.envelope import on_one_thread
 from photocal.adjustment.network import covariance_matrices
 from photocal.analysis.accuracy.assessment import Assessment, assess
@@ -39,6 +38,7 @@ from photocal.analysis.georeferencing.methods import (
     with_shutters,
 )
 from photocal.base.arrays import Floats
+from photocal.base.ellipses import ellipses
 from photocal.base.errors import IllPosedError, PhotocalError
 from photocal.base.policy import policy
 from photocal.block.model import ROLES, Block, Role

@@ -26,7 +26,7 @@ from photocal.adjustment.mounting import (
 from photocal.adjustment.network import Network, covariance_matrices
 from photocal.adjustment.readout import READOUT, adjust_moving_images
 from photocal.adjustment.rig import LATER
-from photocal.adjustment.solution import GlobalTest, Solution, global_test
+from photocal.adjustment.solution import Solution
 from photocal.adjustment.state import State, start_state
 from photocal.analysis.georeferencing.direct import (
     Calibration,
@@ -38,6 +38,7 @@ from photocal.analysis.georeferencing.direct import (
     with_calibration,
 )
 from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.chi_square import GlobalTest, global_test
 from photocal.base.errors import ConfigurationError, IllPosedError, PhotocalError
 from photocal.base.policy import policy
 from photocal.block.model import ROLES, Block, ObjectPoints

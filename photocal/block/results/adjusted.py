@@ -19,12 +19,13 @@ from photocal.adjustment.readout import adjust_moving_images, with_moving_images
 from photocal.adjustment.reliability import UNCHECKED
 from photocal.adjustment.rig import OF_HEAD, TURN, head_rotation
 from photocal.adjustment.snooping import Test, snoop, subset
-from photocal.adjustment.solution import ComponentFactor, Solution, global_test
+from photocal.adjustment.solution import ComponentFactor, Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State, head_values, laser_values, lenses, start_state
 from photocal.adjustment.unknowns import XYZ
 from photocal.adjustment.variance_components import estimate_components, rays_by_camera, with_factors
 from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.chi_square import global_test
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.base.files import output_folder
 from photocal.base.version import __version__

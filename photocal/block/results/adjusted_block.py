@@ -1,19 +1,21 @@
-"""A result as a block, as other programs take it.
+"""A result beside its block: as a block, as other programs take it, and the residuals of its positions.
 
-Its cameras, orientations and points are the adjusted ones, with their standard deviations; its observations
-are those that took part, in pixels.
+Cameras, orientations and points of the block are the adjusted ones, with their standard deviations; its
+observations are those that took part, in pixels.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
-from photocal.base.arrays import Floats
+from photocal.adjustment.mounting import antennas, body_to_camera
+from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
-from photocal.block.network import frame_of
-from photocal.block.results.result import Result
+from photocal.block.network import frame_of, positions_at
+from photocal.block.results.result import Result, common_values
 from photocal.geometry.camera import among, plane_to_pixel
+from photocal.geometry.frames import LocalFrame
 
 
 def adjusted_block(result: Result) -> tuple[Block, Floats]:
@@ -69,3 +71,24 @@ def adjusted_block(result: Result) -> tuple[Block, Floats]:
         ObjectPoints(points.names, points.values, points.sigma, role),
         Observations("px", "pixel", rays.image, point, pixels, np.ones(pixels.shape)),
     ), residuals
+
+
+def position_residuals(block: Block, result: Result, frame: LocalFrame) -> tuple[Floats, Floats, Integers]:
+    """Adjusted minus observed positions of the antenna, east, north, up, m, of each adjusted image.
+
+    returns residual, sigma (images, 3): NaN without an observed position; sigma as it was stated.
+    returns strip (images,): 0 where no strip is known.
+    """
+    images = result.images.in_local(frame)
+    residual, sigma = np.full((2, len(images), 3), np.nan)
+    strip = np.zeros(len(images), dtype=np.int64)
+    if result.mounting is None or block.heads:
+        return residual, sigma, strip
+    observed = positions_at(block, frame, images.names)
+    values = common_values(result.mounting, block.mounting.values)
+    matrix = body_to_camera(block.mounting, values)
+    computed = antennas(observed, matrix, values, images.rotation, images.station)
+    residual[observed.image] = computed - observed.values
+    sigma[observed.image] = np.sqrt(np.diagonal(observed.covariance, axis1=1, axis2=2))
+    strip[observed.image] = observed.strip
+    return residual, sigma, strip

@@ -8,7 +8,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 
-from photocal.adjustment.ellipses import (
+from photocal.adjustment.factored import factored
+from photocal.adjustment.joint import joint_covariance
+from photocal.adjustment.reliability import reliability
+from photocal.adjustment.solution import Solution
+from photocal.base.arrays import Floats
+from photocal.base.ellipses import (
     azimuth_and_elevation,
     ellipses,
     ellipsoids,
@@ -16,11 +21,6 @@ from photocal.adjustment.ellipses import (
     mean_precision,
     spheres,
 )
-from photocal.adjustment.factored import factored
-from photocal.adjustment.joint import joint_covariance
-from photocal.adjustment.reliability import reliability
-from photocal.adjustment.solution import Solution
-from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.base.policy import policy
 from photocal.base.text_tables import write_table

@@ -14,8 +14,9 @@ import numpy as np
 from photocal.adjustment.mounting import BORESIGHT
 from photocal.adjustment.readout import Readout
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
-from photocal.adjustment.solution import ComponentFactor, GlobalTest, Group
+from photocal.adjustment.solution import ComponentFactor, Group
 from photocal.base.arrays import Columns, Floats, Integers
+from photocal.base.chi_square import GlobalTest
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_folder
 from photocal.base.tables import package

@@ -11,22 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from photocal.adjustment.ellipses import ellipses, ellipsoids
-from photocal.adjustment.mounting import antennas, body_to_camera
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Floats
+from photocal.base.ellipses import ellipses, ellipsoids
 from photocal.base.policy import policy
 from photocal.block.model import ROLES
-from photocal.block.network import positions_at
-from photocal.block.results.result import common_values
+from photocal.block.results.adjusted_block import position_residuals
 from photocal.desk.views.shown import Shown, numbers
 from photocal.findings.finding import Finding
 from photocal.findings.texts import PARAMETERS as PARAMETER_FIGURES
 from photocal.findings.texts import Catalogue, plain, remedy_text, sentence
 from photocal.findings.verdict import VerdictLine, alike_findings, every_line, headline, line_text
 from photocal.geometry.camera import PARAMETERS
-from photocal.navigation.exposures import Exposures
 from photocal.planning.flown import BORDER, GroundCells, cells_seen, level_ground
-from photocal.run.exposures import EXPOSURES
+from photocal.run.exposures import EXPOSURES, fixes_of_images
 from photocal.run.summary import project_findings, project_verdict
 
 
@@ -49,14 +46,15 @@ def overview(shown: Shown) -> dict[str, Any]:
 
 
 def _images(shown: Shown) -> dict[str, Any]:
-    images = shown.result.images
+    block, images = shown.block, shown.result.images
     count, rms = shown.result.residuals.rms()
     camera = [shown.result.cameras[images.cameras[k].id] for k in images.camera]
     in_mm = shown.result.block.observation_unit == "mm"
     pitch = np.array([c.pitch for c in camera]).reshape(-1, 2) if in_mm else 1.0
     place = shown.on_map(images.station)
     covariance = shown.covariance_on_map(images.station, images.covariances[:, 3:, 3:])
-    residual, sigma, strip = position_residuals(shown)
+    residual, sigma, strip = position_residuals(block, shown.result, shown.frame)
+    fixes = fixes_of_images(shown.work / "exposures" / EXPOSURES)
     return {
         "names": list(images.names),
         "camera": images.camera.tolist(),
@@ -69,7 +67,7 @@ def _images(shown: Shown) -> dict[str, Any]:
         "strip": strip.tolist(),
         "position_m": numbers(residual, 4),
         "position_sigma_m": numbers(sigma, 4),
-        "fix": _fixes(shown),
+        "fix": None if fixes is None else [fixes.get(name, "") for name in images.names],
         **_spread(covariance),
     }
 
@@ -101,41 +99,6 @@ def footprints(shown: Shown) -> Floats:
 def _level(shown: Shown) -> float:
     values = shown.result.points.values
     return float(np.nanmedian(shown.frame.to_local(values)[:, 2])) if len(values) else 0.0
-
-
-def position_residuals(shown: Shown) -> tuple[Floats, Floats, Integers]:
-    """Adjusted minus observed positions of the antenna, east, north, up, m, of each image.
-
-    returns residual, sigma (images, 3): NaN without an observed position; sigma as it was stated.
-    returns strip (images,): 0 where no strip is known.
-    """
-    block, images = shown.block, shown.images
-    residual, sigma = np.full((2, len(images), 3), np.nan)
-    strip = np.zeros(len(images), dtype=np.int64)
-    observed = positions_at(block, shown.frame, images.names)
-    if shown.result.mounting is None or block.heads:
-        return residual, sigma, strip
-    values = common_values(shown.result.mounting, block.mounting.values)
-    matrix = body_to_camera(block.mounting, values)
-    computed = antennas(observed, matrix, values, images.rotation, images.station)
-    residual[observed.image] = computed - observed.values
-    sigma[observed.image] = np.sqrt(np.diagonal(observed.covariance, axis1=1, axis2=2))
-    strip[observed.image] = observed.strip
-    return residual, sigma, strip
-
-
-def _fixes(shown: Shown) -> list[str] | None:
-    """Whether the positions of the images were fixed, float or single; None without a flight."""
-    path = shown.work / "exposures" / EXPOSURES
-    if not path.is_file():
-        return None
-    events = Exposures.read(path)
-    fixed = {
-        name: str(status)
-        for names, status in zip(events.images, events.placed.status, strict=True)
-        for name in names
-    }
-    return [fixed.get(name, "") for name in shown.result.images.names]
 
 
 def _points(shown: Shown) -> dict[str, Any]:

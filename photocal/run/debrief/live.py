@@ -13,7 +13,6 @@ from photocal.base.errors import PhotocalError
 from photocal.base.files import output_file, write_json
 from photocal.base.operating_system import cache_folder
 from photocal.block.project import Project
-from photocal.debrief import verdict
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import Camera
 from photocal.measurement.image_file import list_images
@@ -21,6 +20,7 @@ from photocal.measurement.image_metadata import image_of
 from photocal.measurement.match_images import MatchingPlan
 from photocal.navigation.exposure_run import ExposureRun, exposures_of_pictures
 from photocal.navigation.rig import CameraOnBody
+from photocal.run.debrief import verdict
 from photocal.run.debrief.pictures import QUICK, PictureQuality, look, picture_findings
 from photocal.run.debrief.verdict import Debrief, Together
 from photocal.run.output_place import check_output

@@ -14,7 +14,6 @@ from photocal.base.operating_system import cache_folder
 from photocal.base.progress import Progress
 from photocal.base.workers import Workers, run_tasks
 from photocal.block.project import Project
-from photocal.debrief import pictures
 from photocal.findings import digits
 from photocal.findings.finding import Finding, Severity, untested
 from photocal.findings.texts import (
@@ -37,6 +36,7 @@ from photocal.navigation.exposures import Exposures, names_cell, orientations
 from photocal.navigation.rig import CameraOnBody
 from photocal.planning.area import LocalPlane
 from photocal.planning.flown import FlownBlock, flown_block, gaps, level_ground
+from photocal.run.debrief import pictures
 from photocal.run.debrief.pictures import PictureQuality, Quick, picture_findings
 from photocal.run.exposures import exposures_of
 from photocal.run.output_place import check_output

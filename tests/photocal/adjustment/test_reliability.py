@@ -14,10 +14,10 @@ from photocal.adjustment.reliability import (
     Reliability,
     external_reliability,
     minimal_detectable_bias,
-    noncentrality,
     reliability,
 )
 from photocal.adjustment.solution import Solution
+from photocal.base.chi_square import noncentrality
 from tests.photocal import networks, oracle
 
 

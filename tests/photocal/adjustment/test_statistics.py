@@ -7,7 +7,8 @@ import pytest
 from scipy import stats
 
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.solution import Solution, global_test
+from photocal.adjustment.solution import Solution
+from photocal.base.chi_square import global_test
 from photocal.geometry.camera import Camera
 from tests.photocal import networks
 from tests.photocal.networks import Scene

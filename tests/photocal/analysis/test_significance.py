@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from photocal.adjustment.solution import global_test
 from photocal.analysis.estimates import (
     Estimates,
     f_test,
@@ -19,6 +18,7 @@ from photocal.analysis.estimates import (
     significance,
     without,
 )
+from photocal.base.chi_square import global_test
 from photocal.base.errors import ConfigurationError, IllPosedError
 
 Rows = list[dict[str, str]]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from photocal.adjustment.mounting import NADIR, NO_POSITIONS, Attitudes, Mounting
+from photocal.adjustment.mounting import NO_POSITIONS, Attitudes, Mounting
 from photocal.analysis.georeferencing.methods import with_shutters
 from photocal.base.errors import ConfigurationError
 from photocal.block.camera_setup import CameraKeys, make_camera
@@ -18,7 +18,7 @@ from photocal.block.folder import read_block
 from photocal.block.motion import expected_rates, motion_of, velocity_of_neighbours
 from photocal.block.network import assemble
 from photocal.block.results.adjusted import adjust_block
-from photocal.geometry.rotation import object_to_body
+from photocal.geometry.rotation import NADIR, object_to_body
 from photocal.geometry.strips import lines_of_places
 from tests.photocal import blocks
 

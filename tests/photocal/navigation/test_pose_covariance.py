@@ -11,9 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from photocal.adjustment.mounting import NADIR
 from photocal.exchange.ground_points import read_geo
-from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+from photocal.geometry.rotation import NADIR, angles_from_matrix, matrix_from_angles
 from photocal.navigation.attitude import (
     AttitudeTrack,
     at_instants,

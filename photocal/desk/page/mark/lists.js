@@ -3,7 +3,7 @@
 import { fixed } from "../look/colours.js";
 import { fill, h } from "../dom.js";
 import { crop, thumbnail } from "../look/tiles.js";
-import { keyOf, level } from "./mark.js";
+import { keyOf, level } from "./level.js";
 
 const MOST_RESIDUALS = 12;
 // A role that is the rule is not said.

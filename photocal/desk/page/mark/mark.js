@@ -3,6 +3,7 @@
 import { Refusal } from "../desk.js";
 import { fill, h, said, styles } from "../dom.js";
 import { markBar, markHelp } from "./bar.js";
+import { keyOf, level } from "./level.js";
 import { markLists } from "./lists.js";
 import { markView } from "./view.js";
 
@@ -11,18 +12,7 @@ const NUDGE_PX = 0.1;
 // A click finds a target as near as this on the screen; in the picture between these.
 const REACH_SCREEN_PX = 22;
 const REACH_PX = [4, 60];
-const SUSPECT_SIGMAS = 2.5;
-const WRONG_SIGMAS = 4;
 const NOTE_MS = { "": 3500, bad: 9000 };
-
-/** A mark is known by its picture and its point. */
-export const keyOf = (image, point) => `${image}\n${point}`;
-
-/** How far from its place: good, warn or bad. */
-export function level(inSigmas) {
-  if (inSigmas === null || inSigmas < SUSPECT_SIGMAS) return "good";
-  return inSigmas < WRONG_SIGMAS ? "warn" : "bad";
-}
 
 export async function mount(element, context) {
   const { say } = context;

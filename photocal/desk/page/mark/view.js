@@ -3,7 +3,7 @@
 import { fixed } from "../look/colours.js";
 import { h } from "../dom.js";
 import { label, outlined, pictureViewer } from "../look/viewer.js";
-import { keyOf } from "./mark.js";
+import { keyOf } from "./level.js";
 
 // Residuals are drawn so much longer.
 const ENLARGED = 20;

@@ -10,6 +10,7 @@ import pytest
 from matplotlib.path import Path as Outline
 from scipy.stats import norm
 
+from photocal.block.results.adjusted_block import position_residuals
 from photocal.desk.views import overview, pictures
 from photocal.desk.views.plots import plots
 from photocal.desk.views.shown import Shown, numbers
@@ -72,7 +73,7 @@ def test_overlap_counts_the_footprints_over_a_place(shown: Shown) -> None:
 
 
 def test_position_residuals_are_those_of_the_adjustment(shown: Shown) -> None:
-    residual, sigma, strip = overview.position_residuals(shown)
+    residual, sigma, strip = position_residuals(shown.block, shown.result, shown.frame)
     (group,) = [group for group in shown.result.groups if group.name == "position"]
     assert sigma == pytest.approx(np.full((8, 3), POSITION_M))
     assert float(np.sum((residual / sigma) ** 2)) == pytest.approx(group.chi_squared, rel=1e-6)

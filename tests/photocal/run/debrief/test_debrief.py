@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from photocal.debrief import pictures
 
 from photocal.base.console import progress
 from photocal.block.project import read_project
@@ -18,6 +17,7 @@ from photocal.exchange.pinhole import Pinhole, from_pinhole
 from photocal.findings.texts import catalogue, finding_text
 from photocal.geometry.camera import Camera
 from photocal.measurement import match_images
+from photocal.run.debrief import pictures
 from photocal.run.debrief.verdict import Debrief, debrief, debrief_json
 from tests.conftest import needs_engine
 from tests.photocal.run.debrief.conftest import (

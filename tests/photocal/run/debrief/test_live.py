@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from photocal.debrief import live, pictures
 
 from photocal.base.arrays import Bytes
 from photocal.block.project import read_project
 from photocal.measurement.features import Features, FeatureSettings, detect
+from photocal.run.debrief import live, pictures
 from photocal.run.debrief.verdict import Debrief
 
 PATIENCE_S = 120.0

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from photocal.adjustment.ellipses import (
+from photocal.base.ellipses import (
     azimuth_and_elevation,
     ellipses,
     ellipsoids,
