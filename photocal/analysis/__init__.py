@@ -1,1 +1,1 @@
-"""What a calibration is worth: significance, components, stability, hidden errors, method."""
+"""What a result is worth: significance, stability, hidden errors, georeferencing, check points."""

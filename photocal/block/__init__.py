@@ -1,1 +1,1 @@
-"""The block: cameras, images, points and observations, as data and as a folder of plain files."""
+"""The block, its result and its project: as data, and as folders of plain files."""

@@ -1,1 +1,1 @@
-"""Certificates and technical reports."""
+"""Certificates and technical reports; studies beside what they printed."""

@@ -17,8 +17,8 @@ from tests.docs.rooms import ROOT, Edges, between_rooms, modules
 
 FIGURE = ROOT / "docs" / "architecture.svg"
 
-# Modules at the top of a package are one room: the way in.
-_ENTRANCE = {"__main__", "cli", "api"}
+# `python -m` goes the way of the command.
+_ENTRANCES = {"acquire.__main__": "acquire.cli", "photocal.__main__": "photocal.commands"}
 # Number on the way of one observation, as the page tells it.
 STEPS = {
     "drivers": "1",
@@ -31,8 +31,7 @@ STEPS = {
     "photocal.block": "6",
     "photocal.adjustment": "7",
     "photocal.analysis": "8",
-    "photocal.georeferencing": "8",
-    "photocal.accuracy": "8",
+    "photocal.hypotheses": "8",
     "photocal.report": "9",
 }
 _FILL = {"drivers": "#f3ead7", "acquire": "#e2eee6", "photocal": "#e4ebf5"}
@@ -52,14 +51,9 @@ class Box:
 
 def rooms() -> Edges:
     """Return which room imports from which, the ways into a package joined to one room."""
-
-    def joined(name: str) -> str:
-        package, _, rest = name.partition(".")
-        return f"{package}.cli" if rest in _ENTRANCE else name
-
     edges: Edges = {}
     for room, others in between_rooms().items():
-        edges.setdefault(joined(room), set()).update(map(joined, others))
+        edges.setdefault(_ENTRANCES.get(room, room), set()).update(others)
     return {room: others - {room} for room, others in edges.items()}
 
 

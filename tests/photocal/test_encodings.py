@@ -61,7 +61,7 @@ def test_a_block_whose_every_file_has_a_mark_is_the_same(tmp_path: Path) -> None
 def test_a_table_of_times_a_standard_and_a_file_of_cameras_take_a_mark(tmp_path: Path) -> None:
     times = marked(tmp_path / "times.csv", "image,taken\na.jpg,2026-05-01T10:00:00\n")
     assert [image.name for image in read_images(times)] == ["a.jpg"]
-    shipped = DCS460.parents[1] / "accuracy/standards/pec-pcd.toml"
+    shipped = DCS460.parents[1] / "analysis/accuracy/standards/pec-pcd.toml"
     assert load_standard(str(marked(tmp_path / "own.toml", shipped.read_text(encoding="utf-8"))))
     assert not is_camera_file(marked(tmp_path / "other.toml", PROJECT))
 

@@ -10,7 +10,7 @@ from photocal.base.checked_toml import Table, read_toml
 from photocal.base.errors import InputNotFoundError
 
 FILE = "study.toml"
-_SOURCES = Path(__file__).parents[2] / "configs" / "studies"
+_SOURCES = Path(__file__).parents[3] / "configs" / "studies"
 
 
 class Command(Table):

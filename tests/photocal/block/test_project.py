@@ -157,7 +157,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 
 
 def test_the_documentation_shows_every_key() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "project-file.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "project-file.md").read_text(encoding="utf-8")
     whole, ready = (tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", page, re.DOTALL))
     contents = Contents.model_validate(whole)
     Contents.model_validate(ready)

@@ -18,7 +18,7 @@ from photocal.analysis.accuracy.variance_analysis import analyse_variance
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.commands.cli import app
 
-TABLE22 = Path(__file__).parents[3] / "configs/studies/canon-elph/printed/table22_check_rmse.csv"
+TABLE22 = Path(__file__).parents[4] / "configs/studies/canon-elph/printed/table22_check_rmse.csv"
 # D. C. Montgomery, Design and Analysis of Experiments, 8th edition, table 5.1: life of batteries, hours.
 BATTERIES = {
     ("1", "15"): (130, 155, 74, 180), ("1", "70"): (34, 40, 80, 75), ("1", "125"): (20, 70, 82, 58),
