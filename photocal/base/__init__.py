@@ -1,1 +1,1 @@
-"""The ground floor: errors, arrays, time scales, geodesy, files, console, tests of variance; stands on nothing of ours."""
+"""The ground floor: errors, arrays, time, geodesy, files, console, variance; stands on nothing of ours."""
