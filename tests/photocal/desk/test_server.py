@@ -85,7 +85,7 @@ def test_every_stage_has_its_name_in_the_catalogue() -> None:
 def test_every_work_within_a_stage_has_its_title_in_the_catalogue() -> None:
     titles = set[str]()
     for room in ("run", "measurement"):
-        for path in (PAGE.parents[1] / room).rglob("*.py"):
+        for path in (PAGE.parents[1] / room).glob("*.py"):
             titles |= set(re.findall(r'\b(?:progress|show)\("([^"]+)"', path.read_text(encoding="utf-8")))
     assert "matching pairs of images" in titles
     assert {f"work.{title}" for title in titles} <= texts().keys()
