@@ -67,6 +67,17 @@ class ChosenPictures:
     known: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
 
+    def alike_elsewhere(self) -> frozenset[str]:
+        """Pictures of other folders, with their folders, that are called as those that are used."""
+        used = {image.name for image in self.facts}
+        elsewhere = (where for where in self.pictures if self.frame is None and where != self.folder)
+        return frozenset(
+            f"{where.name}/{image.name}"
+            for where in elsewhere
+            for image in self.pictures[where]
+            if image.name in used
+        )
+
 
 def chosen_pictures(
     folder: Path, pictures: Pictures, events: Sequence[Path], say: Catalogue

@@ -39,6 +39,8 @@ from photocal.measurement.position_files import map_places
 from photocal.run.project_checks import FAR_FROM_PICTURES_M, around, check_place, middle_of, unfit
 
 HEIGHTS = ("ellipsoidal", "orthometric", "local")
+# Control so far from other control is in another system, m.
+ELSEWHERE_M = 1000.0
 
 
 @dataclass
