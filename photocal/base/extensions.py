@@ -9,8 +9,8 @@ from typing import TypeVar
 from photocal.base.errors import ConfigurationError
 
 Kind = TypeVar("Kind")
-HYPOTHESES, LENSES, PROTOCOLS, STANDARDS, STAGES = (
-    f"photocal.{name}" for name in ("hypotheses", "lenses", "protocols", "standards", "stages")
+FORMATS, HYPOTHESES, LENSES, PROTOCOLS, STANDARDS, STAGES = (
+    f"photocal.{name}" for name in ("formats", "hypotheses", "lenses", "protocols", "standards", "stages")
 )
 
 

@@ -1,6 +1,6 @@
 """The formats of other programs: what each holds and means, and who detects, reads and writes it.
 
-A new format is one module and one entry of this table; another package adds one by an entry point of the
+A new format is one module and one entry of formats.toml; another package adds one by an entry point of the
 group `photocal.formats` that names a `Format`. Functions are loaded when they are used. What follows, with
 the table filled in, is docs/exchange.md (`python -m photocal.exchange.formats`).
 
@@ -76,15 +76,15 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
-from functools import cache
-from importlib import import_module
-from importlib.metadata import entry_points
+from importlib import import_module, resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from photocal.base import extensions
 from photocal.base.errors import (
     ConfigurationError,
     InputMalformedError,
@@ -103,12 +103,6 @@ Part = Literal["cameras", "orientations", "points", "marks"]
 # cartesian: a block in a reference system is taken to its topocentric frame; own: coordinates as they are;
 # wgs84: longitude, latitude and ellipsoidal height; none: no places.
 Space = Literal["cartesian", "own", "wgs84", "none"]
-
-GROUP = "photocal.formats"
-WHOLE: tuple[Part, ...] = ("cameras", "orientations", "points", "marks")
-VISION = "x right, y down, z forward"
-PHOTO = "x right, y up, z backwards"
-CENTRE, CORNER = "centre of the first pixel", "corner of the first pixel"
 
 
 @dataclass(frozen=True)
@@ -207,86 +201,21 @@ def _in_any_case(pattern: str) -> str:
     return letters.sub(lambda at: at[0] if at[0][0] == "[" else f"[{at[0].lower()}{at[0].upper()}]", pattern)
 
 
+def _shipped() -> Iterator[Format]:
+    """Give the formats of the table."""
+    content = resources.files(__package__).joinpath("formats.toml").read_text(encoding="utf-8")
+    for entry in tomllib.loads(content)["format"]:
+        keys: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in entry.items()}
+        yield Format(**keys)
+
+
 # In the order in which a folder is searched for a project.
-FORMATS: tuple[Format, ...] = (
-    Format("pix4d-params", "photocal.exchange.pix4d_project", "Pix4D, params folder", WHOLE, "own", CORNER,
-           VISION, "brown-ideal", "px, m", "read", opens=("*calibrated_camera_parameters.txt", "*.p4d")),
-    Format("photoscan", "photocal.exchange.photoscan", "PhotoScan and Metashape, project", WHOLE, "own",
-           CORNER, VISION, "brown-ideal", "px, m", "read", opens=("*.psz", "*.psx"), search="*.ps[xz]"),
-    Format("opf", "photocal.exchange.opf", "Open Photogrammetry Format 1.0", WHOLE, "cartesian", CORNER,
-           PHOTO, "brown-ideal", "px, m, deg", "read", "write", ("*.opf",)),
-    Format("colmap-binary", "photocal.exchange.colmap", "COLMAP, binary", WHOLE, "cartesian", CORNER, VISION,
-           "brown-ideal", "px, m, unit quaternion", "read", "write_binary",
-           ("cameras.bin", "images.bin", "points3D.bin")),
-    Format("colmap", "photocal.exchange.colmap", "COLMAP, text", WHOLE, "cartesian", CORNER, VISION,
-           "brown-ideal", "px, m, unit quaternion", "read", "write_colmap",
-           ("cameras.txt", "images.txt", "points3D.txt")),
-    Format("opensfm", "photocal.exchange.opensfm", "OpenSfM and ODM, reconstruction", WHOLE, "cartesian",
-           "middle of the image, by its larger side", VISION, "brown-ideal",
-           "larger side of the image, m, rotation vector", "read", "write", ("*.json",),
-           "reconstruction*.json"),
-    Format("micmac", "photocal.exchange.micmac", "MicMac, XML", WHOLE, "cartesian", CENTRE, VISION,
-           "brown-ideal", "px, m, matrix", "read", "write", search="Ori-*/Orientation-*.xml"),
-    Format("jaicov", "photocal.exchange.jaicov", "JAICOV and AICON 3D Studio", WHOLE, "cartesian",
-           "middle of the sensor, y up", PHOTO, "brown-ideal", "mm, rad", "read", "write:block",
-           ("*.ior", "*.eor", "*.obc", "*.phc")),
-    Format("metashape", "photocal.exchange.metashape", "Metashape, camera XML", WHOLE, "cartesian", CORNER,
-           VISION, "brown-ideal", "px, m, 4 x 4 matrix", "read", "write:cameras.xml", ("*.xml",),
-           detects="detect"),
-    Format("dbat", "photocal.exchange.dbat", "DBAT, XML set-up", ("cameras", "points", "marks"), "cartesian",
-           CORNER, PHOTO, "brown-observed", "px, mm in the camera, m", "read", "write", ("*.xml",),
-           detects="detect"),
-    Format("photomodeler", "photocal.exchange.photomodeler", "PhotoModeler, text export", WHOLE, "cartesian",
-           CORNER, PHOTO, "brown-observed", "px, mm in the camera, m, deg", "read", "write:block.txt",
-           ("*.txt",), detects="detect"),
-    Format("opencv", "photocal.exchange.opencv", "OpenCV, YAML or JSON", ("cameras",), "none", CENTRE, VISION,
-           "brown-ideal", "px", "read", "write", search="*.yml"),
-    Format("patb", "photocal.exchange.orientation_tables", "PATB style, tables", ("orientations",), "own",
-           "none", PHOTO, "none", "m; deg or gon, as asked; matrix from camera to object", "read_patb",
-           "write_patb", search="orientations_matrix.txt"),
-    Format("inpho", "photocal.exchange.orientation_tables", "Inpho, .prj", ("orientations",), "own", CENTRE,
-           PHOTO, "none", "mm in the camera, m, matrix from object to camera", "read_inpho",
-           "write_inpho:orientations.prj", search="*.prj"),
-    Format("odm", "photocal.exchange.ground_points", "ODM, gcp_list.txt and geo.txt", ("points", "marks"),
-           "own", CENTRE, "none", "none", "px, m", writes="write"),
-    Format("metashape-csv", "photocal.exchange.reference_table", "Metashape, reference tables", ("points",),
-           "own", "none", "none", "none", "m", writes="write"),
-    Format("pix4d", "photocal.exchange.pix4d_project", "Pix4D, .cam", ("cameras",), "none", CORNER, VISION,
-           "brown-ideal", "mm on a nominal sensor", writes="write"),
-    Format("pix4d-external", "photocal.exchange.pix4d_project", "Pix4D, orientations", ("orientations",),
-           "own", "none", PHOTO, "none", "m, deg", "read_external",
-           search="*calibrated_external_camera_parameters.txt"),
-    Format("odm-shots", "photocal.exchange.opensfm", "ODM, shots.geojson", ("orientations",), "own", "none",
-           VISION, "none", "m, rotation vector", "read_shots", search="shots.geojson"),
-    Format("geojson", "photocal.exchange.geographic", "GeoJSON", ("orientations", "points"), "wgs84", CENTRE,
-           PHOTO, "none", "deg, m, px", writes="write_geojson:block.geojson"),
-    Format("kml", "photocal.exchange.geographic", "KML", ("orientations", "points"), "wgs84", CENTRE, PHOTO,
-           "none", "deg, m, px", writes="write_kml:block.kml"),
-    Format("geopackage", "photocal.exchange.geographic", "GeoPackage", ("orientations", "points", "marks"),
-           "wgs84", CENTRE, PHOTO, "none", "deg, m, px", writes="write_geopackage:block.gpkg"),
-)  # fmt: skip
+FORMATS = tuple(_shipped())
 
 
-@cache
 def added() -> tuple[Format, ...]:
     """Formats that other packages add; raises ConfigurationError for an entry point that gives none."""
-    formats = []
-    for point in entry_points(group=GROUP):
-        try:
-            form = point.load()
-        except Exception as failure:
-            raise _broken(point.value, f"{type(failure).__name__}: {failure}") from failure
-        if not isinstance(form, Format):
-            raise _broken(point.value, "it is not a Format of photocal.exchange.formats")
-        formats.append(form)
-    return tuple(formats)
-
-
-def _broken(entry_point: str, why: str) -> ConfigurationError:
-    return ConfigurationError(
-        f"the format {entry_point} of another package cannot be used ({why})",
-        "correct or uninstall that package",
-    )
+    return tuple(extensions.brought(extensions.FORMATS, Format).values())
 
 
 def known() -> tuple[Format, ...]:

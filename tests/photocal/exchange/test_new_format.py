@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import ConfigurationError, InputNotFoundError
+from photocal.base.extensions import FORMATS, brought
 from photocal.block.model import Block
 from photocal.block.results.folder import read_result
 from photocal.exchange import formats
@@ -44,18 +45,18 @@ def package(folder: Path, entry: str = "toyformat:TOY", module: str | None = Non
     info = folder / "toyformat-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: toyformat\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[{formats.GROUP}]\ntoy = {entry}\n")
+    (info / "entry_points.txt").write_text(f"[{FORMATS}]\ntoy = {entry}\n")
     return folder
 
 
 @pytest.fixture
 def forgotten(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Entry points are looked for anew, before and after."""
-    formats.added.cache_clear()
+    brought.cache_clear()
     yield
     monkeypatch.undo()
     sys.modules.pop("toyformat", None)
-    formats.added.cache_clear()
+    brought.cache_clear()
 
 
 def photocal(installed: Path, *words: object) -> subprocess.CompletedProcess[str]:
@@ -110,7 +111,7 @@ def test_its_folder_is_a_project_to_adopt(
     with pytest.raises(InputNotFoundError, match="has no project in a known format"):
         read_foreign_project(tmp_path / "project")
     monkeypatch.syspath_prepend(package(tmp_path / "installed"))
-    formats.added.cache_clear()
+    brought.cache_clear()
     foreign = read_foreign_project(tmp_path / "project")
     assert foreign.program == "Toy"
     assert foreign.block.images.names == given.images.names
@@ -123,19 +124,19 @@ def test_its_folder_is_a_project_to_adopt(
 @pytest.mark.parametrize(
     ("entry", "module", "message"),
     [
-        ("toyformat:TOY", "import nothing_of_that_name", "cannot be used .ModuleNotFoundError"),
-        ("toyformat:TOY", "TOY = 7", "it is not a Format"),
-        ("toyformat:NONE", "", "cannot be used .AttributeError"),
+        ("toyformat:TOY", "import nothing_of_that_name", "cannot be loaded .ModuleNotFoundError"),
+        ("toyformat:TOY", "TOY = 7", "is not a photocal.exchange.formats.Format"),
+        ("toyformat:NONE", "", "cannot be loaded .AttributeError"),
     ],
 )
 def test_a_broken_package_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, entry: str, module: str, message: str
 ) -> None:
     monkeypatch.syspath_prepend(package(tmp_path / "installed", entry, module))
-    formats.added.cache_clear()
+    brought.cache_clear()
     with pytest.raises(ConfigurationError, match=message) as refusal:
         formats.known()
-    assert "correct or uninstall that package" in str(refusal.value)
+    assert "correct the package that brings it" in str(refusal.value)
     # What is ours works without a look at it.
     assert formats.named("opf").module == "photocal.exchange.opf"
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from photocal.block.model import ROLES, Block
-from photocal.exchange.formats import CENTRE, PHOTO, WHOLE, Format
+from photocal.exchange.formats import Format
 
 if TYPE_CHECKING:
     from photocal.exchange.exporting import Choices
@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from photocal.geometry.conversion import Conversion
 
 TOY = Format(
-    "toy", __name__, "Toy", WHOLE, "cartesian", CENTRE, PHOTO, "none", "px, m", "read", "write:block.toy",
+    "toy", __name__, "Toy", ("cameras", "orientations", "points", "marks"), "cartesian",
+    "centre of the first pixel", "x right, y up, z backwards", "none", "px, m", "read", "write:block.toy",
     ("*.toy",),
 )  # fmt: skip
 
