@@ -95,16 +95,21 @@ def _members(said: Mapping[str, str]) -> dict[str, dict[str, Any]]:
     return members
 
 
+def tables(file: str) -> dict[str, dict[str, Any]]:
+    """Read the tables of a file (TOML) of this package."""
+    return tomllib.loads(resources.files(__package__).joinpath(file).read_text(encoding="utf-8"))
+
+
 def _layouts() -> dict[str, JsonLayout]:
-    tables = tomllib.loads(resources.files(__package__).joinpath("layouts.toml").read_text(encoding="utf-8"))
-    source = tables.pop("source")
+    messages = tables("layouts.toml")
+    source = messages.pop("source")
     return {
         name: JsonLayout(
             f"photocal.{name}",
             table["about"],
             _members((source if table["of_device"] else {}) | table["members"]),
         )
-        for name, table in tables.items()
+        for name, table in messages.items()
     }
 
 

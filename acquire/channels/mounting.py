@@ -6,8 +6,10 @@ AP_AHRS.cpp (`AHRS_TRIM_*`, rad); PX4 (`SENS_GPS0_OFF*` since 1.18, `EKF2_GPS_PO
 `SENS_BOARD_*_OFF`, deg). Both apply trims and board turns to the attitude that they tell.
 """
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import resources
 from typing import Any
 
 from photocal.base.sentences import Texts
@@ -16,33 +18,14 @@ from photocal.base.sentences import Texts
 CAMERA_PLACE_SIGMA_M = 0.1
 # Alignment of a camera with the axes of the body, and of a mount with its commanded angle.
 MOUNT_SIGMA_DEG = 2.0
-_XYZ = ("X", "Y", "Z")
-
-
-def _triple(stem: str) -> tuple[str, ...]:
-    return tuple(stem + axis for axis in _XYZ)
-
-
 # Each value, its unit and the parameters that contain it: of several sets the first one present.
 ANTENNA = "antenna 1"
 NEUTRAL = "camera mount, neutral (roll, pitch, yaw)"
-_VALUES: dict[str, tuple[str, tuple[tuple[str, ...], ...]]] = {
-    ANTENNA: ("m", tuple(map(_triple, ("GPS1_POS_", "GPS_POS1_", "SENS_GPS0_OFF", "EKF2_GPS_POS_")))),
-    "antenna 2": ("m", tuple(map(_triple, ("GPS2_POS_", "GPS_POS2_", "SENS_GPS1_OFF")))),
-    "inertial unit 1": ("m", tuple(map(_triple, ("INS_POS1_", "EKF2_IMU_POS_")))),
-    "inertial unit 2": ("m", (_triple("INS_POS2_"),)),
-    "inertial unit 3": ("m", (_triple("INS_POS3_"),)),
-    NEUTRAL: ("deg", tuple(map(_triple, ("MNT1_NEUTRAL_", "MNT_NEUTRAL_")))),
-    "camera mount, offset (pitch, roll, yaw)": ("deg", (("MNT_OFF_PITCH", "MNT_OFF_ROLL", "MNT_OFF_YAW"),)),
-    "camera mount, type": ("", (("MNT1_TYPE",), ("MNT_TYPE",), ("MNT_MODE_IN",))),
-    "camera mount, mode at start": ("", (("MNT1_DEFLT_MODE",), ("MNT_DEFLT_MODE",))),
-    "camera, type": ("", (("CAM1_TYPE",), ("CAM_TRIGG_TYPE",), ("TRIG_MODE",))),
-    "board, rotation": ("", (("AHRS_ORIENTATION",), ("SENS_BOARD_ROT",))),
-    "board, trim": ("rad", (_triple("AHRS_TRIM_"),)),
-    "board, offset": ("deg", (("SENS_BOARD_X_OFF", "SENS_BOARD_Y_OFF", "SENS_BOARD_Z_OFF"),)),
-}
+THINGS: dict[str, dict[str, Any]] = tomllib.loads(
+    resources.files(__package__).joinpath("mounting.toml").read_text(encoding="utf-8")
+)
 # What a recorder asks an autopilot for.
-NAMES = tuple(name for _, ways in _VALUES.values() for names in ways for name in names)
+NAMES = tuple(name for thing in THINGS.values() for names in thing["ways"] for name in names)
 
 
 @dataclass(frozen=True)
@@ -79,11 +62,11 @@ def mounting_of(parameters: Mapping[str, float]) -> AutopilotMounting:
     # MAV_MOUNT_MODE_NEUTRAL: the mount holds its neutral angles.
     neutral_mode = 1.0
     values, by_thing = [], dict[str, tuple[float, ...]]()
-    for thing, (unit, ways) in _VALUES.items():
-        names = next((names for names in ways if all(name in parameters for name in names)), None)
+    for thing, said in THINGS.items():
+        names = next((names for names in said["ways"] if all(name in parameters for name in names)), None)
         if names is not None:
             own = {name: parameters[name] for name in names}
-            values.append({"thing": thing, "unit": unit, **own})
+            values.append({"thing": thing, "unit": said["unit"], **own})
             by_thing[thing] = tuple(own.values())
     x, y, z = by_thing.get(ANTENNA, (0.0, 0.0, 0.0))
     kind = by_thing.get("camera mount, type", (0.0,))[0]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.channels.decoded import Decoded, in_order, times
+from acquire.channels.decoded import Decoded, in_order, tables, times
 from acquire.channels.layouts import PARAMETER, SourceMessages
 from acquire.log import foxglove
 from drivers.frames import Batch, Messages, Wire
@@ -135,51 +135,24 @@ def parameter(sent: SentMessages) -> Decoded:
 def state(sent: SentMessages) -> Decoded:
     """Make the exposures, texts and states of battery, links and radio whose members are all like theirs."""
     columns = {}
-    for name, (field, unit, unknown) in _MEMBERS[sent.source].items():
-        given = sent.fields[field]
-        values = given if unit is None else given * unit
-        columns[name] = values if unknown is None else np.where(given == unknown, np.nan, values)
-    edge = _EDGES.get(sent.source)
+    for name, member in _STATES[sent.source]["members"].items():
+        given = sent.fields[member["field"]]
+        values = given * member["unit"] if "unit" in member else given
+        columns[name] = (
+            np.where(given == member["unknown"], np.nan, values) if "unknown" in member else values
+        )
+    edge = _STATES[sent.source].get("edge")
     return sent.exposure(edge, columns) if edge else sent.health(columns)
 
 
-# Of a message the members of ours, each with the field that it is made of, its unit (None: as it is), and the
-# number that means that it is not known.
-_MEMBERS: dict[str, dict[str, tuple[str, float | None, int | None]]] = {
-    # The camera's hot shoe or the autopilot's own count reported an exposure.
-    "CAMERA_FEEDBACK": {
-        "sequence": ("img_idx", None, None),
-        "latitude_deg": ("lat", 1e-7, None),
-        "longitude_deg": ("lng", 1e-7, None),
-        "altitude_msl_m": ("alt_msl", None, None),
-        "roll_deg": ("roll", None, None),
-        "pitch_deg": ("pitch", None, None),
-        "yaw_deg": ("yaw", None, None),
-    },
-    "CAMERA_TRIGGER": {"sequence": ("seq", None, None)},
-    "SYS_STATUS": {
-        "voltage_v": ("voltage_battery", 1e-3, 65535),
-        "current_a": ("current_battery", 1e-2, -1),
-        "battery_percent": ("battery_remaining", None, None),
-        "load_percent": ("load", 0.1, None),
-        "drop_rate_percent": ("drop_rate_comm", 0.01, None),
-    },
-    "RADIO_STATUS": {
-        "rssi": ("rssi", None, None),
-        "remote_rssi": ("remrssi", None, None),
-        "noise": ("noise", None, None),
-        "remote_noise": ("remnoise", None, None),
-        "receive_errors": ("rxerrors", None, None),
-    },
-    "STATUSTEXT": {"severity": ("severity", None, None), "text": ("text", None, None)},
-}
-_EDGES = {"CAMERA_FEEDBACK": "feedback", "CAMERA_TRIGGER": "trigger"}
+# What each of these messages becomes, by its name.
+_STATES = tables("states.toml")
 MAKERS: dict[str, tuple[Callable[[SentMessages], Decoded], ...]] = {
     "GPS_RAW_INT": (gnss_fix, gnss_status),
     "GPS2_RAW": (gnss_fix, gnss_status),
     "GLOBAL_POSITION_INT": (position,),
     "ATTITUDE": (attitude,),
-    **dict.fromkeys(_MEMBERS, (state,)),
+    **dict.fromkeys(_STATES, (state,)),
     "CAMERA_IMAGE_CAPTURED": (camera_captured,),
     "SYSTEM_TIME": (system_time,),
     "TIMESYNC": (timesync,),

@@ -111,7 +111,7 @@ def sentences() -> Iterator[str]:
     yield from (f"the host clock ran 4.6 times {way} than the autopilot's: times of receipt are not flight "
                 "times, use the autopilot's times; host minus autopilot clock from +1.00 s to +2.00 s"
                 for way in ("slower", "faster"))  # fmt: skip
-    yield from mounting._VALUES
+    yield from mounting.THINGS
     yield from of_function(importer, "_derivation", "_other_date")
     yield from (importer.HOST_TIME, *(form.name for form in importer.FORMATS), "event list")
     yield from ("running time of the autopilot, tied to UTC by 7 times of its GNSS receiver",)
