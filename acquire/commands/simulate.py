@@ -1,7 +1,7 @@
 """`acquire simulate`: flights that never took place."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import typer
 
@@ -99,8 +99,8 @@ def flight(
     if output.is_dir() and any(output.iterdir()):
         # Files of another flight between the new ones would be taken for its own.
         raise OutputError("is not empty", "name a new folder", where=output)
-    for given, kinds in ((level, Level), *((one, SimulatedFault) for one in fault or [])):
-        if given is not None and given not in list(kinds):
+    for given, kinds in ((level, get_args(Level)), *((one, get_args(SimulatedFault)) for one in fault or [])):
+        if given is not None and given not in kinds:
             raise ConfigurationError(f"{given!r} is not known", f"choose one of {', '.join(kinds)}")
     chosen = {
         "level": "block" if observations_only else level,

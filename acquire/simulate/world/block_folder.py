@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from acquire.simulate.world.configuration import FlightConfiguration, SimulatedFault
+from acquire.simulate.world.configuration import FlightConfiguration
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.observations import MeasuredPoints, kept_images
 from acquire.simulate.world.place import LEAP_S
@@ -24,7 +24,7 @@ Columns = dict[str, tuple[str, Iterable[Any]]]
 
 def write_block(world: World, observed: MeasuredPoints, folder: Path) -> None:
     """Write the block folder of a flight; a fault that only shows in streams is refused."""
-    if world.has(SimulatedFault.CYCLE_SLIPS):
+    if world.has("cycle_slips"):
         raise ConfigurationError(
             'level = "block" cannot simulate cycle slips', 'take level = "observations" or "pictures"'
         )
@@ -77,7 +77,7 @@ def _navigation(
 ) -> tuple[dict[str, tuple[str, Floats]], dict[str, tuple[str, Floats]]]:
     """Give positions of the antenna and attitudes at the events, with noise."""
     rig, random = world.configuration.rig, world.random("sky")
-    late = LEAP_S if world.has(SimulatedFault.EVENT_TIME_BASE) else 0.0
+    late = LEAP_S if world.has("event_time_base") else 0.0
     event = world.exposures.event_s[kept] - late
     position = antenna_at(world.motion, world.rig, event)
     position = position + random.standard_normal(position.shape) * rig.position_sigma_m
@@ -100,7 +100,7 @@ def _navigation(
 
 def telemetry_gap(world: World) -> tuple[float, float]:
     """Give when telemetry is lost: in the middle of the survey, or never."""
-    if not world.has(SimulatedFault.TELEMETRY_GAP):
+    if not world.has("telemetry_gap"):
         return np.inf, np.inf
     middle = float(np.median(world.exposures.event_s))
     half = world.configuration.fault_sizes.gap_s / 2.0
@@ -176,7 +176,7 @@ def noted_control(world: World, coordinates: Floats) -> tuple[list[tuple[str, ..
     """
     given = world.configuration
     texts = [tuple(f"{value:.4f}" for value in row) for row in coordinates.tolist()]
-    if not world.has(SimulatedFault.CONTROL_DIGITS):
+    if not world.has("control_digits"):
         return texts, ""
     control = [k for k, role in enumerate(world.targets.roles) if role == "control"]
     row = control[int(world.random("faults").integers(len(control)))]

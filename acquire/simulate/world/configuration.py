@@ -1,6 +1,5 @@
 """The configuration of a simulated flight (TOML)."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -21,19 +20,16 @@ Share = Annotated[float, Field(ge=0, lt=1)]
 FLIGHTS = Path(__file__).parents[1] / "flights"
 
 
-class SimulatedFault(StrEnum):
-    """What can be made wrong; each is one mistake that people or devices make."""
-
-    ANTENNA_HEIGHT = "wrong_antenna_height"
-    BASE_OFF = "base_off"
-    EVENT_TIME_BASE = "event_time_base"
-    LATE_SHUTTER = "late_shutter"
-    LEVER_ARM_AXIS = "lever_arm_axis"
-    ZOOM = "zoom"
-    CONTROL_DIGITS = "control_digits"
-    MISSING_IMAGES = "missing_images"
-    TELEMETRY_GAP = "telemetry_gap"
-    CYCLE_SLIPS = "cycle_slips"
+# What can be made wrong; each is one mistake that people or devices make.
+SimulatedFault = Literal[
+    "wrong_antenna_height", "base_off", "event_time_base", "late_shutter", "lever_arm_axis", "zoom",
+    "control_digits", "missing_images", "telemetry_gap", "cycle_slips",
+]  # fmt: skip
+# How far a flight is simulated. pictures: streams of the devices and rendered images. observations: streams,
+# and image observations instead of images. block: a block folder whose positions and attitudes carry the
+# noise they state. card: what a drone that keeps its log to itself gives: rendered images, control points and
+# their marks.
+Level = Literal["pictures", "observations", "block", "card"]
 
 
 class FaultSizes(Table):
@@ -57,20 +53,6 @@ class FaultSizes(Table):
     missing_share: Annotated[float, Field(gt=0, le=0.5)] = 0.1
     gap_s: PositiveFloat = 30.0
     slips_per_hour: PositiveFloat = 360.0
-
-
-class Level(StrEnum):
-    """How far a flight is simulated.
-
-    pictures: streams of the devices and rendered images. observations: streams, and image observations
-    instead of images. block: a block folder whose positions and attitudes carry the noise they state.
-    card: what a drone that keeps its log to itself gives: rendered images, control points and their marks.
-    """
-
-    PICTURES = "pictures"
-    OBSERVATIONS = "observations"
-    BLOCK = "block"
-    CARD = "card"
 
 
 class TerrainKeys(Table):
@@ -218,7 +200,7 @@ class FlightConfiguration(Table):
     name: str = "simulated flight"
     seed: Annotated[int, Field(ge=0)] = 1
     field_seed: Annotated[int, Field(ge=0)] | None = None
-    level: Level = Level.PICTURES
+    level: Level = "pictures"
     place: Place
     terrain: TerrainKeys = TerrainKeys()
     plan: PlanKeys

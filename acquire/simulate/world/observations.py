@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquire.simulate.world.camera import TrueCamera
-from acquire.simulate.world.configuration import SimulatedFault
 from acquire.simulate.world.exposures import TO_OPENCV, Pose, TrueExposures, TrueRig, pose_at
 from acquire.simulate.world.motion import Motion
 from acquire.simulate.world.world import World
@@ -63,7 +62,7 @@ class MeasuredPoints:
 def kept_images(world: World) -> Flags:
     """Tell which pictures reach the office: some are lost from within a strip when that fault is on."""
     kept = np.ones(len(world.exposures), bool)
-    if world.has(SimulatedFault.MISSING_IMAGES):
+    if world.has("missing_images"):
         lost = max(int(len(kept) * world.configuration.fault_sizes.missing_share), 2)
         first = int(world.random("faults").integers(2, len(kept) - lost - 1))
         kept[first : first + lost] = False

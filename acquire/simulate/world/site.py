@@ -17,7 +17,7 @@ import numpy as np
 from acquire.simulate.world import block_folder
 from acquire.simulate.world.block_folder import Columns, columns_of, noted_control, write_table
 from acquire.simulate.world.camera import OPENCV, TrueCamera
-from acquire.simulate.world.configuration import FlightConfiguration, Level
+from acquire.simulate.world.configuration import FlightConfiguration
 from acquire.simulate.world.exposures import antenna_at, omega_phi_kappa
 from acquire.simulate.world.observations import MeasuredPoints, kept_images, observe
 from acquire.simulate.world.place import Place
@@ -87,8 +87,8 @@ def _figures(world: World) -> dict[str, object]:
 
 def conditions(given: FlightConfiguration) -> dict[str, object]:
     """Give what names a flight."""
-    named = {"name": given.name, "seed": given.seed, "level": given.level.value}
-    return {**named, "faults": sorted(fault.value for fault in given.faults)}
+    named = {"name": given.name, "seed": given.seed, "level": given.level}
+    return {**named, "faults": sorted(given.faults)}
 
 
 def _settings(world: World) -> str:
@@ -186,7 +186,7 @@ Advance = Callable[[float], None]
 def write_project(world: World, site: Path) -> None:
     """Write `project.toml`, and but for the level block `control.csv`."""
     given = world.configuration
-    block = given.level is Level.BLOCK
+    block = given.level == "block"
     crs, height = ("local", "local") if block else (given.place.crs, "ellipsoidal")
     head = {"name": given.name, "crs": crs, "height": height, "output": "work"}
     sections: dict[str, Any] = {"project": head}
@@ -216,7 +216,7 @@ def _flight(world: World) -> dict[str, Any]:
         "temperature_c": round(given.air.temperature_c - 6.5e-3 * float(base[2]), 1),
         "relative_humidity_percent": round(100 * given.air.relative_humidity, 1),
     }
-    pictures = given.level is Level.PICTURES
+    pictures = given.level == "pictures"
     control: dict[str, Any] = {"points": "control.csv"}
     if pictures:
         codes = zip(world.targets.codes.tolist(), world.targets.names, strict=True)
@@ -293,23 +293,23 @@ def simulate_flight(configuration: FlightConfiguration, folder: Path, advance: A
     world = make_world(configuration)
     site, truth = folder / "site", folder / "truth"
     site.mkdir(parents=True)
-    if configuration.level is Level.CARD:
+    if configuration.level == "card":
         write_card(world, site, advance)
         write_truth(world, truth, None, projected=True)
         return summary(world)
-    observed = None if configuration.level is Level.PICTURES else observe(world)
-    if observed is not None and configuration.level is Level.BLOCK:
+    observed = None if configuration.level == "pictures" else observe(world)
+    if observed is not None and configuration.level == "block":
         block_folder.write_block(world, observed, site / "block")
     elif observed is not None:
         block_folder.write_observations(world, observed, site / "observations.csv")
         write_times(world, site / "times.csv")
-    if configuration.level is Level.PICTURES:
+    if configuration.level == "pictures":
         write_pictures(world, site / "images", advance)
-    if configuration.level is not Level.BLOCK:
+    if configuration.level != "block":
         write_streams(world, make_streams(world), folder)
     write_project(world, site)
     write_particulars(world, site / "particulars.toml")
-    write_truth(world, truth, observed, projected=configuration.level is not Level.BLOCK)
+    write_truth(world, truth, observed, projected=configuration.level != "block")
     return summary(world)
 
 

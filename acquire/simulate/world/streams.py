@@ -10,7 +10,6 @@ from acquire.simulate.gnss.settings import BASE, ROVER, SkySettings
 from acquire.simulate.gnss.streams import Pulses, Stream, base_rtcm, base_ubx, rover_ubx
 from acquire.simulate.world import telemetry
 from acquire.simulate.world.block_folder import telemetry_gap
-from acquire.simulate.world.configuration import SimulatedFault
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.world import World
 from photocal.base.arrays import Floats, Integers
@@ -115,7 +114,7 @@ def _session(world: World) -> tuple[Session, np.random.Generator]:
     given, chance = world.configuration.gnss, world.random("sky")
     rover_model = replace(ROVER, interval_s=given.rover_interval_s)
     base_model = replace(BASE, interval_s=given.base_interval_s)
-    if world.has(SimulatedFault.CYCLE_SLIPS):
+    if world.has("cycle_slips"):
         slips = world.configuration.fault_sizes.slips_per_hour
         rover_model, base_model = (replace(m, slips_per_hour=slips) for m in (rover_model, base_model))
     east, north, up = world.base_error_m.tolist()
@@ -150,7 +149,7 @@ def _events(world: World) -> Pulses:
     rising = world.gps_ns(world.exposures.event_s)
     pulse_s = 0.02
     falling = world.gps_ns(world.exposures.event_s + pulse_s)
-    if world.has(SimulatedFault.EVENT_TIME_BASE):
+    if world.has("event_time_base"):
         # The receiver was set to mark in UTC and says GNSS.
         return Pulses(rising, falling, time_base="gnss", stamped_in="utc")
     return Pulses(rising, falling)

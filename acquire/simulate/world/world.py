@@ -125,17 +125,13 @@ class World:
     @property
     def base_error_m(self) -> Floats:
         """Announced place of the base less the true one, shape (3,)."""
-        wrong = self.has(SimulatedFault.BASE_OFF)
+        wrong = self.has("base_off")
         return np.array(self.configuration.fault_sizes.base_m) if wrong else np.zeros(3)
 
     @property
     def antenna_height_error_m(self) -> float:
         """By which the height of the base's antenna is noted too low."""
-        return (
-            self.configuration.fault_sizes.antenna_height_m
-            if self.has(SimulatedFault.ANTENNA_HEIGHT)
-            else 0.0
-        )
+        return self.configuration.fault_sizes.antenna_height_m if self.has("wrong_antenna_height") else 0.0
 
     @property
     def noted_base_m(self) -> Floats:
@@ -151,7 +147,7 @@ class World:
     def noted_arm_m(self) -> Floats:
         """Lever arm from camera to antenna as the surveyor writes it down, shape (3,)."""
         arm = np.array(self.configuration.rig.camera_to_antenna_m)
-        return arm[[2, 1, 0]] if self.has(SimulatedFault.LEVER_ARM_AXIS) else arm
+        return arm[[2, 1, 0]] if self.has("lever_arm_axis") else arm
 
     def gps_ns(self, time_s: Floats) -> Integers:
         """Give GPS nanoseconds of seconds since the start."""
@@ -188,14 +184,10 @@ def make_world(configuration: FlightConfiguration) -> World:
     ground = float(terrain.height(home[:1], home[1:])[0]) + 0.3
     start, way = legs(configuration.plan, lines, ground)
     motion = make_motion(start, way, configuration.vehicle, generator(configuration, "motion"))
-    if SimulatedFault.LATE_SHUTTER in configuration.faults:
+    if "late_shutter" in configuration.faults:
         rig = replace(rig, time_offset_s=rig.time_offset_s + configuration.fault_sizes.late_s)
     passes = configuration.plan.passes
-    zoomed = (
-        camera.zoomed(configuration.fault_sizes.zoom)
-        if SimulatedFault.ZOOM in configuration.faults
-        else camera
-    )
+    zoomed = camera.zoomed(configuration.fault_sizes.zoom) if "zoom" in configuration.faults else camera
     cameras = (camera, *[zoomed] * (len(passes) - 1))
     spreads = tuple(pass_.spacing_spread for pass_ in passes)
     exposures = make_exposures(motion, rig, lines, spreads, cameras, generator(configuration, "exposures"))
