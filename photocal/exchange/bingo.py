@@ -17,7 +17,7 @@ from photocal.base.errors import InputMalformedError
 from photocal.base.text_tables import MARKS
 from photocal.block.model import Observations
 from photocal.exchange.parts import pixels
-from photocal.exchange.source import Line, decimal_comma, number, read_text, require_readable
+from photocal.exchange.source import Line, decimal_comma, number, printed, read_text, require_readable
 from photocal.geometry.camera import Camera
 
 _SENSOR = re.compile(r"sensor width of\s*(\d+(?:\.\d+)?)\s*x\s*(\d+(?:\.\d+)?)\s*mm")
@@ -151,9 +151,6 @@ def _pitch(
 
 def _two_numbers(cells: Sequence[str]) -> tuple[float, float] | None:
     """Measurement at the end of a line: x and y; None where no two finite numbers stand there."""
-    try:
-        x, y = float(cells[-2]), float(cells[-1])
-    except ValueError:
-        return None
+    x, y = printed(cells[-2]), printed(cells[-1])
     # Not every sum of finite numbers is finite, and no measurement is as large.
     return (x, y) if math.isfinite(x + y) else None

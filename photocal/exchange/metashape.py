@@ -20,7 +20,15 @@ from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import ROLES, Block, Images, Role
 from photocal.exchange.exporting import Choices
 from photocal.exchange.foreign_project import ForeignProject
-from photocal.exchange.parts import UNKNOWN, PointEntry, block, distinct, object_points, pixels, rays_of
+from photocal.exchange.parts import (
+    UNKNOWN,
+    PointEntry,
+    block,
+    distinct,
+    listed_pixels,
+    object_points,
+    rays_of,
+)
 from photocal.exchange.pinhole import from_vision, require_credible, to_vision
 from photocal.exchange.rigs import of_metashape, slave_in_master
 from photocal.exchange.source import child, image_size, number, numbers, read_xml, write_xml
@@ -83,14 +91,12 @@ def chunk_of(root: Element, path: Path) -> ForeignProject:
             if marker.get("marker_id") in position and seen.get("camera_id") in image:
                 x, y = (number(seen.get(axis, ""), path, f"marker {axis}") for axis in "xy")
                 rays.append((image[seen.get("camera_id", "")], position[marker.get("marker_id", "")], x, y))
-    table = np.array(rays, dtype=float).reshape(-1, 4)
     images = Images(
         tuple(names[shot.get("id", "")] for shot in shots),
         np.array([order[shot.get("sensor_id", "")] for shot in shots], dtype=np.int64),
         poses,
     )
-    which, whose = table[:, :2].astype(np.int64).T
-    rays_seen = pixels(which, whose, table[:, 2:] - 0.5)
+    rays_seen = listed_pixels(rays, -0.5)
     points = object_points(listed.values())
     crs = (chunk.findtext("reference") or "").strip()
     frame = "local" if not crs or crs.startswith("LOCAL_CS") else crs

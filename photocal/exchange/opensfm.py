@@ -21,7 +21,7 @@ from photocal.base.errors import InputMalformedError
 from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, Images, ObjectPoints
 from photocal.exchange.exporting import Choices
 from photocal.exchange.foreign_project import ForeignProject
-from photocal.exchange.parts import block, of_cameras, pixels, utm_zone_of
+from photocal.exchange.parts import block, listed_pixels, of_cameras, utm_zone_of
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, to_pinhole, to_vision
 from photocal.exchange.rigs import of_opensfm
 from photocal.exchange.source import image_size, number, read_json, read_lines, structured
@@ -129,11 +129,10 @@ def _with_tracks(given: Block, path: Path) -> Block:
         if cells[0] in image and cells[1] in point:
             x, y = (number(cell, line.place, "track") for cell in cells[3:5])
             rays.append((image[cells[0]], point[cells[1]], x, y))
-    table = np.array(rays, dtype=float).reshape(-1, 4)
-    which = table[:, 0].astype(np.int64)
-    size = np.array([camera.size_px for camera in given.cameras], dtype=float)[given.images.camera[which]]
-    values = table[:, 2:] * size.max(axis=1, initial=1.0, keepdims=True) + size / 2 - 0.5
-    return replace(given, observations=pixels(which, table[:, 1].astype(np.int64), values))
+    given = replace(given, observations=listed_pixels(rays))
+    size = of_cameras(given, "size_px")
+    values = given.observations.values * size.max(axis=1, keepdims=True) + size / 2 - 0.5
+    return replace(given, observations=replace(given.observations, values=values))
 
 
 def write(folder: Path, given: Block, _: Choices | None = None) -> tuple[Conversion, ...]:

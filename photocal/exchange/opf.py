@@ -24,7 +24,7 @@ from photocal.base.files import write_json
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Role
 from photocal.exchange.exporting import Choices
 from photocal.exchange.foreign_project import ForeignProject
-from photocal.exchange.parts import block, known, pixels, rays_of, require_unique
+from photocal.exchange.parts import block, known, listed_pixels, rays_of, require_unique
 from photocal.exchange.pinhole import LARGEST, Pinhole, from_pinhole, require_one_focal_length, to_pinhole
 from photocal.exchange.source import beside, image_size, read_json, structured
 from photocal.geometry.camera import Camera
@@ -93,7 +93,6 @@ def _read(path: Path) -> Block:
     order = {key: k for k, key in enumerate(cameras)}
     points, roles, rays = _control_points(resources, {int(shot["id"]): k for k, shot in enumerate(shots)})
     xyz, sigma = _coordinates(resources, points)
-    table = np.array(rays, dtype=float).reshape(-1, 4)
     poses = np.hstack(
         [
             np.radians(_triples([shot["orientation_deg"] for shot in shots])),
@@ -104,13 +103,12 @@ def _read(path: Path) -> Block:
         raise InputMalformedError("has coordinates beyond 1e9 m", "is it damaged?", where=path)
     which = np.array([order[int(shot["sensor_id"])] for shot in shots], dtype=np.int64)
     role = np.array([ROLES.index(word) for word in roles], dtype=np.int64)
-    image, point = table[:, :2].astype(np.int64).T
     return block(
         str(read_json(path)["name"]),
         tuple(cameras.values()),
         Images(names, which, poses),
         ObjectPoints(points, xyz, sigma, role),
-        pixels(image, point, table[:, 2:] - HALF),
+        listed_pixels(rays, -HALF),
         list(resources.values()),
     )
 

@@ -108,6 +108,16 @@ def pixels(image: Integers, point: Integers, values: Floats, sigma_px: float = U
     return Observations("px", "pixel", image, point, values, np.full(values.shape, sigma_px))
 
 
+def listed_pixels(rays: Sequence[tuple[int, int, float, float]], shift: float = 0.0) -> Observations:
+    """Observations in px of (image, point, x, y) that were collected one by one.
+
+    shift: what is added to their coordinates.
+    """
+    table = np.array(rays, dtype=float).reshape(-1, 4)
+    image, point = table[:, :2].astype(np.int64).T
+    return pixels(image, point, table[:, 2:] + shift)
+
+
 def block(
     name: str,
     cameras: Sequence[Camera],

@@ -35,7 +35,7 @@ from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, requir
 from photocal.exchange.pix4d_inputs import SUFFIX as PROJECT
 from photocal.exchange.pix4d_inputs import read_inputs
 from photocal.exchange.rigs import of_poses
-from photocal.exchange.source import Line, decimal_comma, image_size, number, numbers, read_lines
+from photocal.exchange.source import Line, decimal_comma, image_size, number, numbers, printed, read_lines
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion
 
@@ -225,7 +225,7 @@ def _offset(folder: Path, names: Sequence[str], local: Floats) -> tuple[Floats, 
         image, *values = line.text.rsplit(None, 6)
         k = image_of(image.strip().strip('"')) if len(values) == 6 else -1
         if k >= 0:
-            apart.append(np.array([_value(value) for value in values[:3]]) - local[k])
+            apart.append(np.array([printed(value) for value in values[:3]]) - local[k])
     if not apart or not np.isfinite(apart).all():
         return np.zeros(3), ["no ..._offset.xyz: coordinates of the images are used unchanged"]
     return np.median(apart, axis=0), [f"no ..._offset.xyz: the offset is that of ..._{EXTERNAL}"]
@@ -281,7 +281,7 @@ def _begins(lines: Sequence[Line], k: int) -> bool:
     matrix = [line.text.split() for line in lines[k + 1 : k + 4]]
     whole = len(cells) >= 3 and all(cell.isdecimal() for cell in cells[-2:])
     return (
-        whole and all(len(row) == 3 for row in matrix) and [_value(c) for c in matrix[2]] == [0.0, 0.0, 1.0]
+        whole and all(len(row) == 3 for row in matrix) and [printed(c) for c in matrix[2]] == [0.0, 0.0, 1.0]
     )
 
 
@@ -325,18 +325,10 @@ def _named(path: Path | None) -> dict[str, list[float]]:
     rows = {}
     for line in read_lines(path) if path is not None else ():
         cells = re.split(r"[,;\t]", line.text) if re.search(r"[,;\t]", line.text) else line.text.split()
-        values = [_value(cell) for cell in cells[1:]]
+        values = [printed(cell) for cell in cells[1:]]
         if len(values) >= 3 and np.isfinite(values[:3]).all():
             rows[cells[0].strip().strip('"')] = values
     return rows
-
-
-def _value(cell: str) -> float:
-    """A number; NaN for "none" and what is no number."""
-    try:
-        return float(cell)
-    except ValueError:
-        return float("nan")
 
 
 # Surveyed coordinates of a point and their sigmas, m.
@@ -358,9 +350,9 @@ def _ground(folder: Path) -> tuple[dict[str, Surveyed], frozenset[str], dict[str
         )
     manual = set[str]()
     for name, weight, *cells in _rows(both, _GROUND_COLUMNS):
-        values = [_value(cell) for cell in cells]
+        values = [printed(cell) for cell in cells]
         # Weights of surveyed points come near to 1 and are never exactly it.
-        if np.isfinite(_value(weight)) and Decimal(weight) == 1:
+        if np.isfinite(printed(weight)) and Decimal(weight) == 1:
             manual.add(name)
         elif np.isfinite(values[:3]).all():
             surveyed.setdefault(name, values[:3])
@@ -388,7 +380,7 @@ def _positions(folder: Path, names: Sequence[str]) -> tuple[Floats, Floats, Floa
     for name, *cells in _rows(file_of(folder, _ERRORS), _ERROR_COLUMNS):
         k = image_of(name)
         if k >= 0:
-            table[k] = [_value(cell) for cell in cells]
+            table[k] = [printed(cell) for cell in cells]
     given, stated, places, angles = table[:, :3], table[:, 3:6], table[:, 6:9], table[:, 9:]
     # No receiver states less than a hundredth of a millimetre.
     least_m = 1e-5

@@ -18,7 +18,7 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 from photocal.base.errors import InputMalformedError, PhotocalError
-from photocal.exchange.source import read_json, read_text, read_xml, structured
+from photocal.exchange.source import printed, read_json, read_text, read_xml, structured
 
 Triple = tuple[float, float, float]
 NOT_SAID: Triple = (math.nan, math.nan, math.nan)
@@ -243,7 +243,7 @@ def _of_pix4d_xml(path: Path) -> QualityReport | None:
     def whole(place: str, name: str) -> int:
         """Read a count."""
         element = first.find(place)
-        value = _value("" if element is None else element.get(name, ""))
+        value = printed(None if element is None else element.get(name))
         return int(value) if math.isfinite(value) else 0
 
     points = first.iterfind("statsControlPoints/checkPoints/inliers/*")
@@ -256,9 +256,9 @@ def _of_pix4d_xml(path: Path) -> QualityReport | None:
             "x0": camera.findtext("uncertainties/principalPointXPixel", ""),
             "y0": camera.findtext("uncertainties/principalPointYPixel", ""),
         }
-        sigmas.append({name: _value(text) for name, text in given.items() if _value(text) > 0})
+        sigmas.append({name: printed(text) for name, text in given.items() if printed(text) > 0})
     return QualityReport(
-        "Pix4D", path, _value("" if atps is None else atps.get("meanProjectionError", "")), "mean",
+        "Pix4D", path, printed(None if atps is None else atps.get("meanProjectionError")), "mean",
         whole("images", "total"), whole("images", "calibrated"), rms("gcps"), rms("checkPoints"),
         checks=tuple(point.get("name", "") for point in (*points, *outer) if point.get("name")),
         camera_sigma_px=tuple(sigmas),
@@ -266,14 +266,7 @@ def _of_pix4d_xml(path: Path) -> QualityReport | None:
 
 
 def _xyz(element: Element) -> Triple:
-    return _value(element.get("x", "")), _value(element.get("y", "")), _value(element.get("z", ""))
-
-
-def _value(text: Any) -> float:
-    try:
-        return float(text)
-    except (TypeError, ValueError):
-        return math.nan
+    return printed(element.get("x")), printed(element.get("y")), printed(element.get("z"))
 
 
 _MARKER = re.compile(rf"^(\S+) {_NUMBER} {_NUMBER} {_NUMBER} {_NUMBER} {_NUMBER} ?\((\d+)\)$")
@@ -346,10 +339,10 @@ def _of_statistics(path: Path) -> QualityReport | None:
         def rms(key: str) -> Triple:
             """Read the rms of a kind of observation."""
             error = content.get(key, {}).get("error", {})
-            return _value(error.get("x")), _value(error.get("y")), _value(error.get("z"))
+            return printed(error.get("x")), printed(error.get("y")), printed(error.get("z"))
 
         return QualityReport(
-            "ODM", path, _value(of.get("reprojection_error_pixels")), "mean",
+            "ODM", path, printed(of.get("reprojection_error_pixels")), "mean",
             int(of.get("initial_shots_count", 0)), int(of.get("reconstructed_shots_count", 0)),
             rms("gcp_errors"), rms("checkpoint_errors"), rms("gps_errors"),
         )  # fmt: skip

@@ -140,6 +140,14 @@ def number(cell: str, place: object, what: str) -> float:
     return value
 
 
+def printed(text: Any) -> float:
+    """Read a number that a program has printed for people; NaN for "none" and what is no number."""
+    try:
+        return float(text)
+    except (TypeError, ValueError):
+        return math.nan
+
+
 def decimal_comma(cells: Sequence[str]) -> bool:
     """Whether cells, one or more, are numbers with decimal commas."""
     return bool(cells) and all(_DECIMAL_COMMA.fullmatch(cell.strip()) for cell in cells)
