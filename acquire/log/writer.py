@@ -41,10 +41,6 @@ class LogWriter:
         """Size of the messages that are not in the file yet."""
         return self._open.size
 
-    def channel(self, channel: Channel) -> int:
-        """Return the number of a channel; a new one is written with the open chunk."""
-        return self._open.channel(channel)
-
     def messages(
         self, channel: Channel, payloads: Payloads, log_ns: Integers, publish_ns: Integers, sequence: Integers
     ) -> None:

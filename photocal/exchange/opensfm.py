@@ -29,15 +29,6 @@ from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion
 from photocal.geometry.frames import UNSTATED
 
-_WHAT = "an OpenSfM file"
-
-
-def read_cameras(path: Path) -> tuple[Camera, ...]:
-    """Read cameras.json."""
-    return tuple(
-        structured(path, _WHAT, lambda: [_camera(name, keys, path) for name, keys in read_json(path).items()])
-    )
-
 
 def read(path: Path) -> ForeignProject:
     """Read a reconstruction with the tracks beside it."""
@@ -75,7 +66,7 @@ def read_reconstruction(path: Path) -> Block:
         listed = ObjectPoints(tuple(points), xyz)
         return block(path.stem, tuple(cameras.values()), images, listed, NO_OBSERVATIONS, files)
 
-    given = of_opensfm(structured(path, _WHAT, made), path, content[0])
+    given = of_opensfm(structured(path, "an OpenSfM file", made), path, content[0])
     return _with_tracks(given, tracks) if tracks.is_file() else given
 
 

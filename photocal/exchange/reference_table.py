@@ -7,11 +7,10 @@ coordinate system, accuracies in m. A line before it, `#CoordinateSystem: ...`, 
 
 import csv
 import io
+import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
-
-import numpy as np
 
 from photocal.base.errors import InputMalformedError
 from photocal.block.model import Block
@@ -77,7 +76,7 @@ def write_references(path: Path, crs: str, references: Iterable[PointEntry]) -> 
     out.write("#Label,X,Y,Z,Accuracy_X_(m),Accuracy_Y_(m),Accuracy_Z_(m)\n")
     table = csv.writer(out, lineterminator="\n")
     for row in references:
-        accuracy = ("" if value != value else repr(float(value)) for value in row.sigma)
+        accuracy = (repr(float(value)) if math.isfinite(value) else "" for value in row.sigma)
         table.writerow([row.name, *(repr(float(value)) for value in row.xyz), *accuracy])
     path.write_text(out.getvalue(), encoding="utf-8", newline="\n")
 
@@ -101,9 +100,6 @@ def write(folder: Path, given: Block, _: Choices) -> tuple[Conversion, ...]:
         ("markers.csv", given.points.names, given.points.values, given.points.sigma),
     ):
         rows = zip(names, places, sigmas, strict=True)
-        entries = (
-            PointEntry(name, xyz=xyz, sigma=np.where(np.isfinite(sigma), sigma, np.nan))
-            for name, xyz, sigma in rows
-        )
+        entries = (PointEntry(name, xyz=xyz, sigma=sigma) for name, xyz, sigma in rows)
         write_references(folder / file, crs, entries)
     return ()

@@ -104,14 +104,16 @@ def said_table(
     *,
     dense: bool = False,
     widths: tuple[float, ...] = (),
+    **values: object,
 ) -> TablePart:
     """Make a table whose caption is a text of the catalogue, and whose heads stand in its section.
 
     heads: as of `columns`, or columns as they are.
+    values: of the caption.
     """
     section = key.partition(".")[0]
     shown = (each if isinstance(each, Column) else columns(say, section, each)[0] for each in heads)
-    return TablePart(say(key), tuple(shown), tuple(map(tuple, rows)), note, dense, widths)
+    return TablePart(say(key, **values), tuple(shown), tuple(map(tuple, rows)), note, dense, widths)
 
 
 def table(caption: str, heads: Sequence[str], rows: Sequence[Sequence[str]], note: str = "") -> TablePart:

@@ -107,9 +107,8 @@ def _correlations(
         rows.append((pair, say.fixed(p.value, 3), where + say(f"cause.{p.cause}")))
     if not rows:
         return []
-    heads = columns(say, "analysis", "pair<", "value", "cause<")
-    caption = say("analysis.causes", threshold=say.as_given(threshold))
-    return [TablePart(caption, heads, tuple(rows), widths=(0.12, 0.1, 0.78))]
+    heads, limit = ("pair<", "value", "cause<"), say.as_given(threshold)
+    return [said_table(say, "analysis.causes", heads, rows, widths=(0.12, 0.1, 0.78), threshold=limit)]
 
 
 def _components(record: CameraAnalysis, say: Catalogue) -> list[Piece]:
@@ -260,8 +259,8 @@ def _within(camera: Camera, analysis: Analysis, say: Catalogue) -> list[TablePar
         )
         for parameter in (judged.within_flight if judged else ())
     )
-    heads = columns(say, "analysis", "parameter<", "second", "third", "p_value", "course<")
-    return [TablePart(say("analysis.within", unit=camera.unit), heads, rows)] if rows else []
+    heads = ("parameter<", "second", "third", "p_value", "course<")
+    return [said_table(say, "analysis.within", heads, rows, unit=camera.unit)] if rows else []
 
 
 def published(sets: Iterable[PublishedSet], threshold: float, say: Catalogue) -> list[Section]:
@@ -295,8 +294,8 @@ def _loadings(one: PublishedSet, components: Components, say: Catalogue) -> Tabl
         *(() if values is None else ((say("published.value"), values, 2),)),
         *((symbol(name), row, 2) for name, row in zip(components.names, components.loadings, strict=True)),
     )
-    texts = tuple((label, *(say.fixed(v, digits) for v in values)) for label, values, digits in rows)
-    return TablePart(say("analysis.components"), heads, texts)
+    texts = ((label, *(say.fixed(v, digits) for v in values)) for label, values, digits in rows)
+    return said_table(say, "analysis.components", heads, texts)
 
 
 def warning_sections(findings: tuple[Finding, ...], verdict: str, say: Catalogue) -> list[Section]:

@@ -6,7 +6,6 @@ from collections import Counter
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.block.model import InputFile
 from photocal.block.results.result import CENTRES, TURNS
 from photocal.findings.digits import decimals_of, probability, symbol
 from photocal.findings.document import (
@@ -17,7 +16,6 @@ from photocal.findings.document import (
     Piece,
     Section,
     TablePart,
-    columns,
     said_table,
 )
 from photocal.findings.texts import Catalogue
@@ -142,18 +140,19 @@ def relative_orientations(title: str, run: AnalysedRun, say: Catalogue) -> tuple
 def exterior_orientation(title: str, run: AnalysedRun, say: Catalogue) -> Section:
     """Make the table of exterior orientations and the summary of their standard deviations."""
     n = len(run.result.images.names)
-    order, caption, remark = list(range(n)), say("eop.table"), ""
+    order, which, remark = list(range(n)), "eop.table", ""
     if n > ROWS:
         size = np.linalg.norm(run.result.images.sigma[:, 3:], axis=1)
         order = [int(i) for i in np.argsort(-size, kind="stable")[: ROWS // 3]]
-        caption, remark = say("eop.table_worst", shown=len(order), n=n), say("eop.all")
+        which, remark = "eop.table_worst", say("eop.all")
     quantities = (("X", "m"), ("Y", "m"), ("Z", "m"), ("ω", "(°)"), ("φ", "(°)"), ("κ", "(°)"))
-    heads = [*columns(say, "eop", "image<"), *(Column(name, unit) for name, unit in quantities)]
+    heads: list[str | Column] = ["image<", *(Column(name, unit) for name, unit in quantities)]
     heads += [Column(f"σ {name}", "mm" if unit == "m" else "(″)") for name, unit in quantities]
     rows = _eop_rows(run, order, say)
     if run.result.scale:
         remark += say("eop.scaled", factor=say.fixed(run.result.scale, 3))
-    table = TablePart(caption, tuple(heads), rows, say("eop.note", all=remark).strip(), dense=True)
+    note = say("eop.note", all=remark).strip()
+    table = said_table(say, which, heads, rows, note, dense=True, shown=len(order), n=n)
     return Section(title, (_eop_quality(run, say), table) if n else (table,))
 
 
@@ -194,8 +193,7 @@ def _eop_quality(run: AnalysedRun, say: Catalogue) -> TablePart:
         for key, function in (("least", np.min), ("median", np.median), ("most", np.max))
     )
     note = say("checks.scaled").strip() if factor else ""
-    heads = (*columns(say, "eop", "quantity<"), *spreads)
-    return TablePart(say("eop.quality", n=len(images)), heads, rows, note)
+    return said_table(say, "eop.quality", ("quantity<", *spreads), rows, note, n=len(images))
 
 
 def check_points(title: str, run: AnalysedRun, say: Catalogue) -> Section:
@@ -299,10 +297,9 @@ def inputs(title: str, run: AnalysedRun, say: Catalogue) -> Section:
     """List the software and every file with its SHA-256."""
     software = run.result.software
     text = Paragraph(say("inputs.text", software=software.name, version=software.version))
-    given = _files(say("inputs.table"), run.result.inputs, say)
-    return Section(title, (text, given, _files(say("inputs.results"), run.files, say)))
-
-
-def _files(caption: str, files: tuple[InputFile, ...], say: Catalogue) -> TablePart:
-    heads = (*columns(say, "inputs", "file<", "bytes"), Column(say("inputs.sha256"), "", "left", code=True))
-    return TablePart(caption, heads, tuple((f.path, str(f.bytes), f.sha256) for f in files), dense=True)
+    heads = ("file<", "bytes", Column(say("inputs.sha256"), "", "left", code=True))
+    tables = (
+        said_table(say, key, heads, [(f.path, str(f.bytes), f.sha256) for f in files], dense=True)
+        for key, files in (("inputs.table", run.result.inputs), ("inputs.results", run.files))
+    )
+    return Section(title, (text, *tables))

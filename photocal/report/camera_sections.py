@@ -16,7 +16,6 @@ from photocal.findings.document import (
     Section,
     Statement,
     TablePart,
-    columns,
     said_table,
 )
 from photocal.findings.texts import Catalogue
@@ -281,17 +280,17 @@ def _rms_table(
     images = run.result.images_of(camera_id).tolist()
     count, rms = run.result.residuals.rms()
     rms = rms / ((1.0, 1.0) if run.result.block.observation_unit == "px" else camera.pitch)
-    shown, caption = images, say("residuals.table")
+    shown, which = images, "residuals.table"
     if len(images) > ROWS:
         shown = sorted(images, key=lambda i: -rms[i].max())[: ROWS // 3]
-        caption = say("residuals.table_worst", shown=len(shown), n=len(images))
+        which = "residuals.table_worst"
     micrometres = camera.unit == "mm"
     units = ("px", "µm") if micrometres else ("px",)
     heads = ["image<", "rays", *(f"{key} [{unit}]" for unit in units for key in ("rms_x", "rms_y"))]
     names = run.result.images.names
     rows = [_rms_row(names[i], int(count[i]), tuple(rms[i].tolist()), camera, say) for i in shown]
     rows.append(_rms_row(say("residuals.all"), len(residuals.place), rms_px(residuals), camera, say))
-    return TablePart(caption, columns(say, "residuals", *heads), tuple(rows))
+    return said_table(say, which, heads, rows, shown=len(shown), n=len(images))
 
 
 def _rms_row(

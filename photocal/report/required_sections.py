@@ -16,7 +16,6 @@ from photocal.findings.document import (
     Statement,
     TablePart,
     Tone,
-    columns,
     said_table,
 )
 from photocal.findings.finding import Finding
@@ -164,9 +163,8 @@ def _budget(camera_id: str, run: AnalysedRun, particulars: Metadata, say: Catalo
         nu=f"{math.floor(freedom)}" if math.isfinite(freedom) else "∞",
         factor=say.fixed(factor, max(decimals_of(factor), 2)),
     )
-    source, kind_of, share_of = columns(say, "uncertainty", "source<", "type=", "share [%]")
-    heads = (source, kind_of, Column("u", camera.unit), share_of)
-    return TablePart(say("uncertainty.table", camera=camera_id), heads, tuple(rows), note)
+    heads = ("source<", "type=", Column("u", camera.unit), "share [%]")
+    return said_table(say, "uncertainty.table", heads, rows, note, camera=camera_id)
 
 
 def _of_common_height(

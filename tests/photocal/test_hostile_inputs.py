@@ -22,7 +22,6 @@ from photocal.block.project import read_project
 from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.opencv import read_opencv
-from photocal.exchange.opensfm import read_cameras
 from photocal.exchange.reference_table import read_references
 from photocal.measurement.image_file import opened
 from photocal.measurement.image_metadata import read_images
@@ -74,7 +73,6 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "GeoJSON": ("area.geojson", read_area),
     "KML": ("area.kml", read_area),
     "certificate": ("certificate.json", read_record),
-    "OpenSfM": ("camera_models.json", read_cameras),
     "OpenCV": ("camera.yml", read_opencv),
     "OpenCV XML": ("camera.xml", read_opencv),
     "Metashape": ("project.psx", read_metashape),

@@ -15,7 +15,6 @@ GPS, GALILEO = "G", "E"
 class Signal:
     """One signal of one system.
 
-    code: RINEX 3 band and attribute, for example ``1C``.
     ubx: `sigId` of u-blox's interface description (F9 HPG 1.32, section 1.5.4).
     msm: number in the signal mask of RTCM MSM (RTCM 10403.3, tables 3.5-91 and 3.5-99), counted from 1.
     chip_m: length of a chip of the code; for a binary offset carrier the length that gives its code noise.
@@ -23,8 +22,6 @@ class Signal:
     data: whether it carries navigation data, so that its phase is ambiguous by half a cycle at first.
     """
 
-    system: str
-    code: str
     frequency_hz: float
     ubx: int
     msm: int
@@ -38,10 +35,10 @@ class Signal:
         return LIGHT_M_S / self.frequency_hz
 
 
-L1CA = Signal(GPS, "1C", 1575.42e6, 0, 2, 293.05, 0.0, True)
-L2CL = Signal(GPS, "2L", 1227.60e6, 3, 16, 293.05, 4.0, False)
-E1C = Signal(GALILEO, "1C", 1575.42e6, 0, 2, 170.0, 0.0, False)
-E5BQ = Signal(GALILEO, "7Q", 1207.14e6, 6, 15, 29.3, 0.0, False)
+L1CA = Signal(1575.42e6, 0, 2, 293.05, 0.0, True)
+L2CL = Signal(1227.60e6, 3, 16, 293.05, 4.0, False)
+E1C = Signal(1575.42e6, 0, 2, 170.0, 0.0, False)
+E5BQ = Signal(1207.14e6, 6, 15, 29.3, 0.0, False)
 
 SIGNALS = {GPS: (L1CA, L2CL), GALILEO: (E1C, E5BQ)}
 """First and second frequency of each system."""

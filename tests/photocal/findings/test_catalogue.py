@@ -44,6 +44,7 @@ def test_every_text_is_used() -> None:
     used |= {f"{key}_heads" for key in re.findall(r'told_table\(\s*"([a-z_.]+)"', source)}
     # Heads of tables are data: `columns(say, "section", "key<", "key [unit]")`, and those of `said_table`.
     tables = set(re.findall(r'(?:columns|said_table)\(\s*say, "(\w+)', source))
+    tables |= {key.partition(".")[0] for key in used if ".table" in key}
     heads = set(re.findall(r'"([a-z0-9_]+)[<=]?(?: \[[^"]*\])?"', source))
     root = Path(photocal.__file__).parent
     source += "".join(p.read_text(encoding="utf-8") for p in root.rglob("standards/*.toml"))
