@@ -32,7 +32,7 @@ def ppk(
     Example: `photocal ppk FLIGHT.mcap -o ppk`
     """
     from photocal.findings.texts import catalogue, spoken
-    from photocal.navigation.ppk_report import ppk_text
+    from photocal.navigation.ppk_result import ppk_text
     from photocal.navigation.steps import ppk as computed
 
     made = computed(flight or (), receivers=receivers, options=options)
@@ -109,13 +109,12 @@ def survey(
     from photocal.base.checked_toml import read_toml
     from photocal.base.files import output_folder, write_json
     from photocal.findings.texts import catalogue, spoken
-    from photocal.navigation.engine import Rtklib
     from photocal.navigation.survey import Survey, SurveySetup, run_survey
     from photocal.navigation.survey_report import survey_figures, survey_text, write_points
 
     plan = read_toml(setup, SurveySetup)
     with tempfile.TemporaryDirectory() as scratch:
-        solution, sessions, frames = run_survey(Survey(plan, setup.parent, Rtklib(), Path(scratch)))
+        solution, sessions, frames = run_survey(Survey(plan, setup.parent, Path(scratch)))
     figures = survey_figures(solution, sessions, frames)
     with output_folder(output) as folder:
         figures["points_csv"] = write_points(folder / "points.csv", solution, plan.crs)

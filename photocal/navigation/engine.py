@@ -20,6 +20,8 @@ from photocal.base.errors import ConfigurationError, IllPosedError, InputMalform
 from photocal.navigation.time import WEEK_NS, GpsTime, exact_ns
 from photocal.navigation.trajectory import Geodetic, Trajectory
 
+# As figures name it.
+ENGINE = "RTKLIB 2.4.3 (rnx2rtkp)"
 FIXED, FLOAT = 1, 2
 _LEAST_SIGMA_M = 1e-4
 # Multipath and air of lower satellites spoil the search for whole cycles; they take part as floats, which
@@ -340,60 +342,55 @@ class ProcessingOptions:
                 )
 
 
-@dataclass(frozen=True)
-class Rtklib:
-    """RTKLIB's command line programs: what converts and computes."""
+def to_rinex(raw: bytes, form: str, stem: Path, near: GpsTime | None = None) -> tuple[Path, Path]:
+    """Write observations and ephemerides as RINEX beside `stem` from intact frames, by `convbin`.
 
-    name: str = "RTKLIB 2.4.3 (rnx2rtkp)"
+    form: as `convbin` calls it.
+    near: settles the week of RTCM.
+    """
+    # A file that would be empty is not written.
+    source = stem.with_suffix(f".{form}")
+    source.write_bytes(raw)
+    observations, navigation = stem.with_suffix(".obs"), stem.with_suffix(".nav")
+    arguments = ["-r", form, "-v", "3.03", "-od", "-os", "-o", observations, "-n", navigation]
+    if near is not None:
+        date, time = near.iso()[0].split(" ")
+        arguments += ["-tr", date.replace("-", "/"), time[:8]]
+    _run("convbin", [*map(str, arguments), str(source)])
+    return observations, navigation
 
-    def convert(self, raw: bytes, form: str, stem: Path, near: GpsTime | None = None) -> tuple[Path, Path]:
-        """Write observations and ephemerides as RINEX beside `stem` from intact frames, by `convbin`.
 
-        form: as `convbin` calls it.
-        near: settles the week of RTCM.
-        """
-        # A file that would be empty is not written.
-        source = stem.with_suffix(f".{form}")
-        source.write_bytes(raw)
-        observations, navigation = stem.with_suffix(".obs"), stem.with_suffix(".nav")
-        arguments = ["-r", form, "-v", "3.03", "-od", "-os", "-o", observations, "-n", navigation]
-        if near is not None:
-            date, time = near.iso()[0].split(" ")
-            arguments += ["-tr", date.replace("-", "/"), time[:8]]
-        _run("convbin", [*map(str, arguments), str(source)])
-        return observations, navigation
+def solve(
+    mode: Mode,
+    direction: Direction,
+    files: list[Path],
+    options: ProcessingOptions,
+    base_m: Floats | None,
+    folder: Path,
+) -> EngineSolution:
+    """Compute positions from rover, base and navigation files with `rnx2rtkp`."""
+    settings = folder / f"{mode}-{direction}.conf"
+    settings.write_text(configuration(mode, direction, options))
+    output = folder / f"{files[0].stem}-{mode}-{direction}.pos"
+    arguments = ["-k", str(settings), "-o", str(output)]
+    if mode == "ppp-static":
+        # Multipath lasts about a minute: more epochs tell nothing new, but the engine would think so.
+        arguments += ["-ti", "30"]
+    if base_m is not None:
+        arguments += ["-r", *(f"{v:.4f}" for v in base_m)]
+    _run("rnx2rtkp", [*arguments, *map(str, files)])
+    if not output.exists():
+        raise IllPosedError(
+            f"the engine found no position ({mode}, {direction})",
+            "check that ephemerides and observations are of the same time",
+            where=files[0],
+        )
+    return read_solution(output)
 
-    def solve(
-        self,
-        mode: Mode,
-        direction: Direction,
-        files: list[Path],
-        options: ProcessingOptions,
-        base_m: Floats | None,
-        folder: Path,
-    ) -> EngineSolution:
-        """Compute positions from rover, base and navigation files with `rnx2rtkp`."""
-        settings = folder / f"{mode}-{direction}.conf"
-        settings.write_text(configuration(mode, direction, options))
-        output = folder / f"{files[0].stem}-{mode}-{direction}.pos"
-        arguments = ["-k", str(settings), "-o", str(output)]
-        if mode == "ppp-static":
-            # Multipath lasts about a minute: more epochs tell nothing new, but the engine would think so.
-            arguments += ["-ti", "30"]
-        if base_m is not None:
-            arguments += ["-r", *(f"{v:.4f}" for v in base_m)]
-        _run("rnx2rtkp", [*arguments, *map(str, files)])
-        if not output.exists():
-            raise IllPosedError(
-                f"the engine found no position ({mode}, {direction})",
-                "check that ephemerides and observations are of the same time",
-                where=files[0],
-            )
-        return read_solution(output)
 
-    def satellite_residuals(self, mode: Mode, rover: Path, folder: Path) -> SatelliteResiduals:
-        """Return the satellites of the forward run with the base that `solve` has done in the folder."""
-        return read_satellite_residuals(folder / f"{rover.stem}-{mode}-forward.pos.stat")
+def satellite_residuals(mode: Mode, rover: Path, folder: Path) -> SatelliteResiduals:
+    """Return the satellites of the forward run with the base that `solve` has done in the folder."""
+    return read_satellite_residuals(folder / f"{rover.stem}-{mode}-forward.pos.stat")
 
 
 def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) -> str:

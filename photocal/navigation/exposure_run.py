@@ -20,7 +20,6 @@ from photocal.measurement.event_matching import Matching, match_images
 from photocal.measurement.image_metadata import ImageMetadata, clock_time_s, read_images
 from photocal.navigation.common_errors import common_text
 from photocal.navigation.device_clocks import ComparedClocks, clock_sentences, device_by_arrival
-from photocal.navigation.engine import Rtklib
 from photocal.navigation.events import Events, listed_in, read_mrk
 from photocal.navigation.exposure_checks import Evidence, check_exposures, times_against_pictures
 from photocal.navigation.exposure_sources import (
@@ -35,9 +34,9 @@ from photocal.navigation.exposure_sources import (
 from photocal.navigation.exposures import Exposures, at_camera, at_events
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.image_checks import TieMatching, check_images, check_oriented, oriented_images
+from photocal.navigation.ppk import solved
 from photocal.navigation.ppk_figures import PpkFigures
 from photocal.navigation.ppk_inputs import Sources
-from photocal.navigation.ppk_report import solved
 from photocal.navigation.receiver_recording import ReceiverRecording, read_receivers
 from photocal.navigation.rig import CameraOnBody, rig_of_mounting
 from photocal.navigation.time import HostTime
@@ -258,7 +257,7 @@ class ExposureRun:
     figures: dict[str, Any]
 
 
-def run_exposures(choices: ExposureChoices, engine: Rtklib, folder: Path) -> ExposureRun:
+def run_exposures(choices: ExposureChoices, folder: Path) -> ExposureRun:
     """Find events, positions, attitudes and images of a flight.
 
     raises ConfigurationError: when the log has neither events nor images, or nothing that tells positions.
@@ -268,8 +267,8 @@ def run_exposures(choices: ExposureChoices, engine: Rtklib, folder: Path) -> Exp
     raw = rover is not None and bool(rover.epochs or rover.empty_epochs or rover.untimed_epochs)
     if not raw and sources.rover is None:
         return place_exposures(choices, None, None)
-    result, figures = solved(sources, engine, folder)
-    return place_exposures(choices, result.trajectory, PpkFigures.of(figures))
+    made = solved(sources, folder)
+    return place_exposures(choices, made.trajectory, PpkFigures.of(made.figures))
 
 
 def place_exposures(

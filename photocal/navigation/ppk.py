@@ -2,31 +2,31 @@
 
 import filecmp
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from photocal.base.arrays import Flags, Floats
-from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.base.geodesy import enu_axes, geocentric, geodetic
-from photocal.block.project import AirAtBase
-from photocal.navigation.base_frame import BaseFrame
-from photocal.navigation.common_errors import CommonErrors, common_errors
+from photocal.navigation.common_errors import common_errors
 from photocal.navigation.engine import (
     Direction,
     EngineSolution,
     Mode,
     ProcessingOptions,
-    Rtklib,
     in_order,
+    satellite_residuals,
+    solve,
     static_position,
     trajectory_of,
 )
-from photocal.navigation.fix_validation import ValidatedFixes, judge
+from photocal.navigation.fix_validation import judge
 from photocal.navigation.float_errors import code_errors
+from photocal.navigation.ppk_inputs import Inputs, Sources, gather_inputs
+from photocal.navigation.ppk_result import Ppk
 from photocal.navigation.precise_results import (
     ObservationFile,
     antenna_named,
@@ -34,7 +34,7 @@ from photocal.navigation.precise_results import (
     read_antennas,
 )
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import Trajectory, enu_axes_at
+from photocal.navigation.trajectory import enu_axes_at
 
 # The engine uses base observations up to 30 s old.
 _BASE_AGE_NS = 30_000_000_000
@@ -72,50 +72,6 @@ def between_directions(
     place[off] = np.column_stack(geodetic(mean @ enu_axes(*origin[:2]) + geocentric(*origin)))
     lat, lon, height = place.T
     return replace(combined, lat_deg=lat, lon_deg=lon, height_m=height, covariance_m2=covariance), off
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """What a PPK run starts from.
-
-    base_m (3,): Earth-centred position of the base's antenna reference point (or mark, with an antenna
-        height).
-    base_sigma_m (3,): its standard deviations, east, north, up; None: nobody stated them.
-    weather: measured at the base; None: that of the climate.
-    base_frame: frame and epoch of its position, and whether it was moved to those of the control.
-    """
-
-    rover: ObservationFile
-    base: ObservationFile
-    navigation: list[Path]
-    base_m: Floats
-    base_source: str
-    base_sigma_m: Floats | None = None
-    weather: AirAtBase | None = None
-    base_frame: BaseFrame | None = None
-
-
-@dataclass(frozen=True)
-class PpkResult:
-    """A judged trajectory with all that its summary tells.
-
-    combined: the engine's own positions, quality and sigmas.
-    base_off_code_m (3,): the base's position less its own code solution, east, north, up.
-    base_gaps_s: begin and length of the gaps of the base within the rover's time, longest first.
-    replaced: epochs at which the engine's combination lay apart from both directions.
-    """
-
-    inputs: Inputs
-    options: ProcessingOptions
-    mode: Mode
-    engine: str
-    combined: EngineSolution
-    judgement: ValidatedFixes | None
-    trajectory: Trajectory
-    base_off_code_m: Floats
-    base_gaps_s: list[tuple[GpsTime, float]]
-    replaced: int = 0
-    common: CommonErrors | None = None
 
 
 def options_for(
@@ -178,9 +134,7 @@ def with_antennas(
     return replace(options, **changed)
 
 
-def process(
-    inputs: Inputs, options: ProcessingOptions, mode: Mode, engine: Rtklib, folder: Path
-) -> PpkResult:
+def process(inputs: Inputs, options: ProcessingOptions, mode: Mode, folder: Path) -> Ppk:
     """Compute and judge the trajectory.
 
     raises IllPosedError: without overlap, with too few epochs, without ephemerides, or with a wrong position
@@ -193,14 +147,14 @@ def process(
             "record RXM-SFRBX or give a RINEX navigation file with --nav",
             where=", ".join(path.name for path in inputs.navigation) or inputs.rover.path.name,
         )
-    off_m = _base_off_code(inputs, options, engine, folder)
+    off_m = _base_off_code(inputs, options, folder)
     files = [inputs.rover.path, inputs.base.path, *inputs.navigation]
     gaps = _base_gaps(inputs)
     rover_alone = [inputs.rover.path, *inputs.navigation]
 
     def run(direction: Direction) -> EngineSolution:
         """Solve in one direction, or with both combined."""
-        return engine.solve(mode, direction, files, options, inputs.base_m, folder)
+        return solve(mode, direction, files, options, inputs.base_m, folder)
 
     at_once = 2
     # The engine's runs are programs of their own: two at a time keep two cores busy.
@@ -209,23 +163,29 @@ def process(
             both, whole = pool.map(run, ("combined", "forward"))
             combined = static_position(_differential(whole, inputs), _differential(both, inputs))
             judgement, count, trajectory = None, 0, trajectory_of(combined, 0.0, inputs.base_m)
+            satellites = satellite_residuals(mode, inputs.rover.path, folder)
         else:
-            alone = pool.submit(engine.solve, "single", "forward", rover_alone, options, None, folder)
+            alone = pool.submit(solve, "single", "forward", rover_alone, options, None, folder)
             both, forward, backward = pool.map(run, ("combined", "forward", "backward"))
             code, forward, backward = alone.result(), in_order(forward), in_order(backward)
             combined, replaced = between_directions(_differential(both, inputs), forward, backward)
-            lasting = code_errors(engine.satellite_residuals(mode, inputs.rover.path, folder))
+            satellites = satellite_residuals(mode, inputs.rover.path, folder)
+            lasting = code_errors(satellites)
             judgement = judge(combined, forward, backward, code, options.ratio, lasting)
             count = int(replaced.sum())
             row = code.at(combined.time)
             velocity = np.where((row >= 0)[:, None], code.velocity_m_s[row], np.nan)
             sigma = judgement.velocity_sigma_m_s
             trajectory = trajectory_of(judgement.solution, sigma, inputs.base_m, velocity)
-    satellites = engine.satellite_residuals(mode, inputs.rover.path, folder)
     common = common_errors(trajectory, satellites, inputs.base_m, inputs.base_sigma_m, inputs.weather)
-    return PpkResult(
-        inputs, options, mode, engine.name, combined, judgement, trajectory, off_m, gaps, count, common
-    )
+    return Ppk(inputs, options, mode, combined, judgement, trajectory, off_m, gaps, count, common)
+
+
+def solved(sources: Sources, folder: Path) -> Ppk:
+    """Process a rover in motion against its base; the engine's files stand in the folder."""
+    inputs = gather_inputs(sources, folder)
+    options = options_for(inputs.rover, inputs.base, sources.rover_antenna_m, sources.base_antenna_m)
+    return process(inputs, options, "kinematic", folder)
 
 
 def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:
@@ -257,21 +217,12 @@ def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:
         )
 
 
-def parse_position(text: str) -> Floats:
-    """Return earth-centred coordinates of ``LAT,LON,H`` (degrees, ellipsoidal height in metres)."""
-    form = "LAT,LON,H: degrees and the ellipsoidal height in metres"
-    lat, lon, height = numbers_of(text, "--base-position", form)
-    if not (abs(lat) <= 90 and abs(lon) <= 360 and abs(height) < 20_000):
-        raise ConfigurationError(f"{text!r} is not a position", f"give {form}", where="--base-position")
-    return np.asarray(geocentric(lat, lon, height))
-
-
-def _base_off_code(inputs: Inputs, options: ProcessingOptions, engine: Rtklib, folder: Path) -> Floats:
+def _base_off_code(inputs: Inputs, options: ProcessingOptions, folder: Path) -> Floats:
     """Return the base's position less its own code solution (east, north, up); refuse a wrong one."""
     # A code position of hours is good to metres.
     base_limit_m = 10.0
     alone = [inputs.base.path, *inputs.navigation]
-    code = engine.solve("single", "forward", alone, options, None, folder)
+    code = solve("single", "forward", alone, options, None, folder)
     apart = enu_axes_at(inputs.base_m) @ (inputs.base_m - np.median(code.xyz_m, axis=0))
     off = float(np.linalg.norm(apart))
     if off > base_limit_m:

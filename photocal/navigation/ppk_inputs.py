@@ -7,15 +7,21 @@ from typing import Literal
 import numpy as np
 
 from photocal.base.arrays import Floats
+from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError, IllPosedError
+from photocal.base.geodesy import geocentric
 from photocal.base.time_scales import GPS_EPOCH_NS
 from photocal.block.project import AirAtBase
 from photocal.geometry.realizations import realization
 from photocal.navigation.base_frame import BaseFrame, decimal_year
-from photocal.navigation.engine import Rtklib
+from photocal.navigation.engine import to_rinex
 from photocal.navigation.flight_log import FlightLog
-from photocal.navigation.ppk import Inputs, parse_position
-from photocal.navigation.precise_results import count_ephemerides, read_observation_file, read_precise_result
+from photocal.navigation.precise_results import (
+    ObservationFile,
+    count_ephemerides,
+    read_observation_file,
+    read_precise_result,
+)
 from photocal.navigation.receiver_recording import ReceiverRecording, pick, read_receivers, refuse_unusable
 from photocal.navigation.rinex_files import navigation_ready, now, observations_ready
 from photocal.navigation.time import GpsTime
@@ -55,8 +61,31 @@ class Sources:
     crs: str | None = None
 
 
-def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Inputs, list[str]]:
-    """Return the inputs of a run, and remarks on what was left out of the log.
+@dataclass(frozen=True)
+class Inputs:
+    """What a PPK run starts from.
+
+    base_m (3,): Earth-centred position of the base's antenna reference point (or mark, with an antenna
+        height).
+    base_sigma_m (3,): its standard deviations, east, north, up; None: nobody stated them.
+    weather: measured at the base; None: that of the climate.
+    base_frame: frame and epoch of its position, and whether it was moved to those of the control.
+    remarks: on what was left out of the log.
+    """
+
+    rover: ObservationFile
+    base: ObservationFile
+    navigation: list[Path]
+    base_m: Floats
+    base_source: str
+    base_sigma_m: Floats | None = None
+    weather: AirAtBase | None = None
+    base_frame: BaseFrame | None = None
+    remarks: list[str] = field(default_factory=list)
+
+
+def gather_inputs(sources: Sources, folder: Path) -> Inputs:
+    """Return the inputs of a run.
 
     raises ConfigurationError: when something that is needed was not named.
     raises IllPosedError: when a recording has nothing to compute from.
@@ -72,7 +101,7 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
         refuse_unusable(recording, role, log)
         if role == "rover":
             _refuse_without_ephemerides(recording, sources)
-        observations, ephemerides = converted(recording, engine, folder / role, near)
+        observations, ephemerides = converted(recording, folder / role, near)
         navigation.append(ephemerides)
         counts = {"without signals": recording.empty_epochs, "of week 0": recording.untimed_epochs}
         remarks.extend(f"{role}: {n} epochs {kind} left out" for kind, n in counts.items() if n)
@@ -80,7 +109,7 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
 
     def named(path: Path, other: Path | None, role: str) -> Path:
         """Observations of a file; ephemerides and remarks of a raw one are added to those known."""
-        ready = observations_ready(path, engine, folder / f"{role}-file", now(), other)
+        ready = observations_ready(path, folder / f"{role}-file", now(), other)
         navigation.extend(ready.navigation)
         remarks.extend(f"{role}: {remark}" for remark in ready.remarks)
         return ready.path
@@ -119,7 +148,7 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
     if moved is not None:
         position, source = position + moved.shift_m, f"{source}, moved to {moved.target}"
         sigma = None if sigma is None else np.hypot(sigma, moved.sigma_m)
-    return Inputs(rover, base, files, position, source, sigma, sources.weather, base_frame), remarks
+    return Inputs(rover, base, files, position, source, sigma, sources.weather, base_frame, remarks)
 
 
 def _needed(log: FlightLog, role: str) -> FlightLog:
@@ -139,9 +168,7 @@ def _refuse_without_ephemerides(recording: ReceiverRecording, sources: Sources) 
         )
 
 
-def converted(
-    recording: ReceiverRecording, engine: Rtklib, stem: Path, near: GpsTime | None = None
-) -> tuple[Path, Path]:
+def converted(recording: ReceiverRecording, stem: Path, near: GpsTime | None = None) -> tuple[Path, Path]:
     """Convert what a receiver recorded to RINEX; raises IllPosedError when no observations come out."""
     # A base that sends both repeats the same observations; the raw ones are finer.
     form: Literal["ubx", "rtcm3"] = "ubx" if recording.epochs else "rtcm3"
@@ -150,7 +177,7 @@ def converted(
         epochs, _ = recording.epochs_and_arrivals()
         # The receiver knows the time; the recording computer's clock may be years off.
         near = GpsTime(epochs[:1] if len(epochs) else np.array([recording.first_log_ns - GPS_EPOCH_NS]))
-    made = engine.convert(b"".join(frames), form, stem, near if form == "rtcm3" else None)
+    made = to_rinex(b"".join(frames), form, stem, near if form == "rtcm3" else None)
     if not made[0].exists():
         raise IllPosedError(
             "the observations could not be converted to RINEX",
@@ -158,6 +185,15 @@ def converted(
             where=f"link {recording.link}",
         )
     return made
+
+
+def parse_position(text: str) -> Floats:
+    """Return earth-centred coordinates of ``LAT,LON,H`` (degrees, ellipsoidal height in metres)."""
+    form = "LAT,LON,H: degrees and the ellipsoidal height in metres"
+    lat, lon, height = numbers_of(text, "--base-position", form)
+    if not (abs(lat) <= 90 and abs(lon) <= 360 and abs(height) < 20_000):
+        raise ConfigurationError(f"{text!r} is not a position", f"give {form}", where="--base-position")
+    return np.asarray(geocentric(lat, lon, height))
 
 
 def _base_position(

@@ -22,7 +22,7 @@ from drivers.rtcm3 import DATE_BYTES, date_ns, number_in
 from photocal.base.archives import DAMAGES, gunzipped, unzipped
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError, reading
 from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS
-from photocal.navigation.engine import Rtklib
+from photocal.navigation.engine import to_rinex
 from photocal.navigation.precise_results import read_observation_file
 from photocal.navigation.time import GpsTime
 
@@ -205,9 +205,7 @@ class ReadyFile:
     remarks: tuple[str, ...] = ()
 
 
-def observations_ready(
-    path: Path, engine: Rtklib, stem: Path, today: GpsTime, other: Path | None = None
-) -> ReadyFile:
+def observations_ready(path: Path, stem: Path, today: GpsTime, other: Path | None = None) -> ReadyFile:
     """Make observations ready for the engine: plain RINEX stays as it is.
 
     stem: where files are made, without an ending.
@@ -232,7 +230,7 @@ def observations_ready(
         for k, one in enumerate(rest)
     )
     if b"RINEX VERSION" not in data[:200]:
-        return _converted(data, path, engine, stem, today, other)
+        return _converted(data, path, stem, today, other)
     kept, lost = _without_1980(data)
     if kept is given:
         return ReadyFile(path)
@@ -385,9 +383,7 @@ def _as_3(lines: list[str]) -> Iterator[str]:
             yield from body[: _OF_3[words[3]] or None]
 
 
-def _converted(
-    data: bytes, path: Path, engine: Rtklib, stem: Path, today: GpsTime, other: Path | None
-) -> ReadyFile:
+def _converted(data: bytes, path: Path, stem: Path, today: GpsTime, other: Path | None) -> ReadyFile:
     form = form_of(data, path)
     near = None
     if form.converter == "rtcm3":
@@ -395,7 +391,7 @@ def _converted(
         frames = list(frames_of(data, Wire.RTCM3))
         data = b"".join(frame.data for frame in frames)
         near = rtcm3_time(frames, path, today, _first_epoch(other))
-    observations, navigation = engine.convert(data, form.converter, stem, near)
+    observations, navigation = to_rinex(data, form.converter, stem, near)
     if not observations.exists():
         raise InputMalformedError(
             f"is {form.name}, from which the converter gets no observations",
@@ -406,7 +402,7 @@ def _converted(
     untried = (
         "" if form.tried else ": not tested here, no recording was available; compare with the maker's RINEX"
     )
-    ready = observations_ready(observations, engine, stem.with_name(f"{stem.name}-known"), today)
+    ready = observations_ready(observations, stem.with_name(f"{stem.name}-known"), today)
     ephemerides = (navigation,) if navigation.exists() else ()
     return ReadyFile(ready.path, ephemerides, (remark + untried, *ready.remarks))
 

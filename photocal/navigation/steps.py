@@ -16,48 +16,17 @@ from photocal.base.operating_system import cache_folder
 from photocal.block.project import read_project
 from photocal.measurement.match_images import MatchingPlan
 from photocal.navigation.common_errors import parse_weather
-from photocal.navigation.engine import Mode, Rtklib
+from photocal.navigation.engine import Mode
 from photocal.navigation.exposure_files import write_run
 from photocal.navigation.exposure_run import ExposureChoices, ExposureRun, choices_of_project, run_exposures
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.options import ExposureOptions, PpkOptions, ReceiverOptions
-from photocal.navigation.ppk import PpkResult, options_for, process, with_antennas
+from photocal.navigation.ppk import options_for, process, with_antennas
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
-from photocal.navigation.ppk_report import ppk_figures, ppk_text, write_ppk
+from photocal.navigation.ppk_result import Ppk
 from photocal.navigation.rig import CameraOnBody, camera_axes
 
 Paths = str | Path | Sequence[str | Path]
-
-
-@dataclass(frozen=True)
-class Ppk:
-    """A trajectory from raw observations, and the figures by which it is judged.
-
-    Attributes
-    ----------
-    result
-        The trajectory and the engine's own solutions.
-    figures
-        As in `ppk.json`: epochs, share of fixed ones, gaps of the base, findings.
-    """
-
-    result: PpkResult
-    figures: dict[str, Any]
-
-    def __repr__(self) -> str:
-        """Say what `photocal ppk` prints."""
-        return ppk_text(self.figures)
-
-    def write(self, folder: str | Path) -> None:
-        """Write `trajectory.csv`, `ppk.json` and `ppk.png` into a folder that is made.
-
-        Parameters
-        ----------
-        folder
-            Folder to write.
-        """
-        with output_folder(Path(folder)) as aside:
-            write_ppk(aside, self.result, self.figures)
 
 
 @dataclass(frozen=True)
@@ -148,17 +117,16 @@ def ppk(
     True
     >>> made.write("ppk")
     """
-    asked, engine = options or PpkOptions(), Rtklib()
+    asked = options or PpkOptions()
     sources = sources_of(flight, receivers or ReceiverOptions(), asked.crs)
     with tempfile.TemporaryDirectory() as scratch:
-        inputs, remarks = gather_inputs(sources, engine, Path(scratch))
+        inputs = gather_inputs(sources, Path(scratch))
         rover, base = inputs.rover, inputs.base
         heights = asked.rover_antenna_height, asked.base_antenna_height
         plain = options_for(rover, base, *heights, asked.elevation)
         modelled = with_antennas(plain, asked.antex, (rover, asked.rover_antenna), (base, asked.base_antenna))
         mode: Mode = "static" if asked.static else "kinematic"
-        result = process(inputs, modelled, mode, engine, Path(scratch))
-    return Ppk(result, ppk_figures(result, remarks))
+        return process(inputs, modelled, mode, Path(scratch))
 
 
 def exposures(
@@ -225,7 +193,7 @@ def exposures(
         plan = MatchingPlan(cache_folder())
         choices = replace(choices, ties=(plan, progress))
     with tempfile.TemporaryDirectory() as scratch:
-        return ExposuresOfFlight(run_exposures(choices, Rtklib(), Path(scratch)), choices.rig, camera, crs)
+        return ExposuresOfFlight(run_exposures(choices, Path(scratch)), choices.rig, camera, crs)
 
 
 def sources_of(flight: Paths, receivers: ReceiverOptions, crs: str | None = None) -> Sources:

@@ -29,10 +29,11 @@ from photocal.geometry.realizations import Realization, known_realization, reali
 from photocal.geometry.systems import degrees_outside
 from photocal.navigation.base_frame import BaseFrame, decimal_year
 from photocal.navigation.baseline_network import Baseline, GroundMark, NetworkSolution, adjust_baselines
-from photocal.navigation.engine import STATIC_FLOOR_M, ProcessingOptions, Rtklib, in_order, trajectory_of
+from photocal.navigation.engine import STATIC_FLOOR_M, ProcessingOptions, in_order, solve, trajectory_of
 from photocal.navigation.flight_log import FlightLog
-from photocal.navigation.ppk import SYSTEMS, Inputs, PpkResult, options_for, process, with_antennas
-from photocal.navigation.ppk_inputs import converted
+from photocal.navigation.ppk import SYSTEMS, options_for, process, with_antennas
+from photocal.navigation.ppk_inputs import Inputs, converted
+from photocal.navigation.ppk_result import Ppk
 from photocal.navigation.precise_results import (
     ObservationFile,
     read_observation_file,
@@ -214,11 +215,10 @@ _LOG = ".mcap"
 
 @dataclass(frozen=True)
 class Survey:
-    """A survey with its engine, the folder of the files that it names, and one for those of the engine."""
+    """A survey, the folder of the files that it names, and one for those of the engine."""
 
     setup: SurveySetup
     folder: Path
-    engine: Rtklib
     scratch: Path
 
     @property
@@ -310,12 +310,12 @@ def _observations(
     if not source.is_file():
         raise InputNotFoundError("does not exist", where=source, remedy="check the set-up file")
     if source.suffix != _LOG:
-        ready = observations_ready(source, survey.engine, stem.with_name(f"{stem.name}-file"), now())
+        ready = observations_ready(source, stem.with_name(f"{stem.name}-file"), now())
         return read_observation_file(ready.path), list(ready.navigation)
     log = FlightLog((source,))
     recording = pick(read_receivers(log), link, role, log)
     refuse_unusable(recording, role, log)
-    observations, navigation = converted(recording, survey.engine, stem)
+    observations, navigation = converted(recording, stem)
     return read_observation_file(observations), [navigation] if navigation.exists() else []
 
 
@@ -335,7 +335,7 @@ def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tup
     options = with_antennas(
         options, survey.antex, (rover, measured.rover_antenna), (base, measured.base_antenna)
     )
-    result = process(inputs, options, "static", survey.engine, folder)
+    result = process(inputs, options, "static", folder)
     position, air_m = _through_air(result)
     end, covariance = _earth_centred(position)
     first, last = max(rover.time.ns[0], base.time.ns[0]), min(rover.time.ns[-1], base.time.ns[-1])
@@ -368,10 +368,10 @@ def _options(rover: ObservationFile, base: ObservationFile, setup: SurveySetup) 
     )
 
 
-def _through_air(result: PpkResult) -> tuple[Trajectory, float]:
+def _through_air(result: Ppk) -> tuple[Trajectory, float]:
     """Return a static position corrected for the air between both marks, and the correction of its height."""
     position, common = result.trajectory, result.common
-    if common is None or common.shift_by_zenith_delay is None:
+    if common.shift_by_zenith_delay is None:
         return position, 0.0
     corrected = common.corrected(position)
     above = float(position.height_m[0]) - common.base_height_m
@@ -393,7 +393,7 @@ def _precise(point: PrecisePoint, survey: Survey) -> tuple[GroundMark, GpsTime, 
         precise=True,
     )
     options = with_antennas(options, survey.antex, (observed, point.rover_antenna), None)
-    result = _precise_point(observed, [*recorded, *named], options, survey.engine, folder)
+    result = _precise_point(observed, [*recorded, *named], options, folder)
     place, covariance = _earth_centred(result)
     required = survey.setup.required_of_points()
     session = {
@@ -441,13 +441,13 @@ def _earth_centred(t: Trajectory) -> tuple[Floats, Floats]:
 
 
 def _precise_point(
-    rover: ObservationFile, files: list[Path], options: ProcessingOptions, engine: Rtklib, folder: Path
+    rover: ObservationFile, files: list[Path], options: ProcessingOptions, folder: Path
 ) -> Trajectory:
     """Compute the position of a receiver that stood still by itself, with precise orbits and clocks."""
     ill_posed = IllPosedError.at(rover.path.name)
     if "2" not in rover.bands:
         raise ill_posed("a precise point needs two frequencies", "measure a baseline instead")
-    epochs = in_order(engine.solve("ppp-static", "forward", [rover.path, *files], options, None, folder))
+    epochs = in_order(solve("ppp-static", "forward", [rover.path, *files], options, None, folder))
     # How the engine numbers precise positions.
     precise = 6
     epochs = epochs.rows(epochs.quality == precise)

@@ -38,12 +38,12 @@ def ppk_stage(project: Project) -> Stage:
 def _make(project: Project, folder: Path, show: Progress) -> None:
     import tempfile
 
-    from photocal.navigation.engine import Rtklib
     from photocal.navigation.exposure_run import choices_of_project
-    from photocal.navigation.ppk_report import solved, write_ppk
+    from photocal.navigation.ppk import solved
+    from photocal.navigation.ppk_result import write_ppk
 
     sources = choices_of_project(project).sources
     with show("positions of the antenna", None), tempfile.TemporaryDirectory() as scratch:
-        result, figures = solved(sources, Rtklib(), Path(scratch))
-    write_ppk(folder, result, figures)
-    result.trajectory.write(folder / TRAJECTORY)
+        made = solved(sources, Path(scratch))
+    write_ppk(folder, made)
+    made.trajectory.write(folder / TRAJECTORY)

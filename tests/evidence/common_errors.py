@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from acquire.simulate.gnss.settings import SkySettings
 from photocal.block.project import AirAtBase
 from photocal.navigation.common_errors import CommonErrors, remaining_lapse
-from photocal.navigation.ppk import PpkResult
+from photocal.navigation.ppk_result import Ppk
 from tests.acquire.simulate.gnss.flights import BASE_DEG
 from tests.evidence.ppk_fixes import Case, flown
 
@@ -46,7 +46,7 @@ def corrections(common: CommonErrors, humidity: float) -> dict[str, CommonErrors
     }
 
 
-def means(result: PpkResult, error: Floats, humidity: float) -> dict[str, tuple[float, float]]:
+def means(result: Ppk, error: Floats, humidity: float) -> dict[str, tuple[float, float]]:
     """Return the mean error of the heights of a flight and its stated sigma, m, by kind of correction."""
     assert result.common is not None
     t = result.trajectory

@@ -22,8 +22,10 @@ from acquire.simulate.gnss.observations import simulate
 from acquire.simulate.gnss.settings import BASE, ROVER, ReceiverModel, SkySettings
 from acquire.simulate.gnss.streams import base_ubx, rover_ubx
 from photocal.base.geodesy import geocentric
-from photocal.navigation.engine import Rtklib
-from photocal.navigation.ppk import Inputs, PpkResult, options_for, process
+from photocal.navigation.engine import to_rinex
+from photocal.navigation.ppk import options_for, process
+from photocal.navigation.ppk_inputs import Inputs
+from photocal.navigation.ppk_result import Ppk
 from photocal.navigation.precise_results import read_observation_file
 from photocal.navigation.time import GpsTime
 from tests.acquire.simulate.gnss.flights import AXES, BASE_M, SECOND, Loop, gps_ns
@@ -97,7 +99,7 @@ CASES = (
 )
 
 
-def flown(case: Case, seed: int, folder: Path) -> tuple[PpkResult, Floats]:
+def flown(case: Case, seed: int, folder: Path) -> tuple[Ppk, Floats]:
     """Process a flight and return the errors of its positions, east, north, up (m)."""
     # Another sky for each seed.
     start = gps_ns(2025, 6, 15, 3 + 4 * (seed % 5), 11, 7)
@@ -113,10 +115,10 @@ def flown(case: Case, seed: int, folder: Path) -> tuple[PpkResult, Floats]:
         base_model=case.base,
         sky=case.sky,
     )
-    engine, near = Rtklib(), GpsTime(np.array([start]))
+    near = GpsTime(np.array([start]))
     rover_stream = rover_ubx(session, None, rng=np.random.default_rng(seed + 1))
     made = [
-        engine.convert(stream.data, "ubx", folder / name, near)
+        to_rinex(stream.data, "ubx", folder / name, near)
         for name, stream in (("rover", rover_stream), ("base", base_ubx(session)))
     ]
     for observations, _ in made:
@@ -124,7 +126,7 @@ def flown(case: Case, seed: int, folder: Path) -> tuple[PpkResult, Floats]:
     observed = [read_observation_file(observations) for observations, _ in made]
     inputs = Inputs(observed[0], observed[1], [navigation for _, navigation in made], BASE_M, "truth")
     options = replace(options_for(observed[0], observed[1]), two_frequencies=case.two_frequencies)
-    result = process(inputs, options, "kinematic", engine, folder)
+    result = process(inputs, options, "kinematic", folder)
     t = result.trajectory
     # Receivers measure at times of their own clock: the truth is asked for at those.
     truth = way.position(t.time.ns) + shift

@@ -21,10 +21,20 @@ from numpy.typing import NDArray
 
 from drivers.frames import Wire
 from photocal.base.geodesy import enu_axes, geocentric, geodetic
-from photocal.navigation.engine import FIXED, FLOAT, Direction, EngineSolution, Rtklib, in_order
+from photocal.navigation.engine import (
+    FIXED,
+    FLOAT,
+    Direction,
+    EngineSolution,
+    in_order,
+    satellite_residuals,
+    solve,
+    to_rinex,
+)
 from photocal.navigation.fix_validation import judge
 from photocal.navigation.float_errors import code_errors
-from photocal.navigation.ppk import Inputs, options_for, process
+from photocal.navigation.ppk import options_for, process
+from photocal.navigation.ppk_inputs import Inputs
 from photocal.navigation.precise_results import read_observation_file
 from tests.photocal.navigation.conftest import frames_of
 
@@ -85,7 +95,7 @@ def converted(name: str, folder: Path) -> tuple[Path, Path]:
     """Convert what is whole of a recorded receiver."""
     frames = frames_of(gzip.decompress((DATA / "gnss-ubx-m8p-base-rover" / f"{name}.ubx.gz").read_bytes()))
     raw = b"".join(f.data for f in frames if f.wire == Wire.UBX and f.kind in (0x0213, 0x0215))
-    return Rtklib().convert(raw, "ubx", folder / name)
+    return to_rinex(raw, "ubx", folder / name)
 
 
 def piece(path: Path, target: Path, begin_s: float, length_s: float) -> Path:
@@ -103,7 +113,7 @@ def fixes(recording: Recording, folder: Path) -> EngineSolution:
     """Give the validated fixes of a recording."""
     rover, base = read_observation_file(recording.rover), read_observation_file(recording.base)
     inputs = Inputs(rover, base, recording.navigation, recording.base_m, "")
-    found = process(inputs, options_for(rover, base), "kinematic", Rtklib(), folder).judgement
+    found = process(inputs, options_for(rover, base), "kinematic", folder).judgement
     assert found is not None
     return found.solution.rows(found.solution.quality == FIXED)
 
@@ -112,15 +122,15 @@ def row(name: str, recording: Recording, rover: Path, known: EngineSolution | No
     """Return a line of the table: a recording or a piece of it, nothing fixed."""
     observed = read_observation_file(rover), read_observation_file(recording.base)
     options = replace(options_for(*observed), two_frequencies=bands > 1, ratio=NEVER)
-    files, engine, base_m = [rover, recording.base, *recording.navigation], Rtklib(), recording.base_m
+    files, base_m = [rover, recording.base, *recording.navigation], recording.base_m
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         runs = {
-            direction: in_order(engine.solve("kinematic", direction, files, options, base_m, folder))
+            direction: in_order(solve("kinematic", direction, files, options, base_m, folder))
             for direction in DIRECTIONS
         }
-        code = engine.solve("single", "forward", [rover, *recording.navigation], options, None, folder)
-        codes = code_errors(engine.satellite_residuals("kinematic", rover, folder))
+        code = solve("single", "forward", [rover, *recording.navigation], options, None, folder)
+        codes = code_errors(satellite_residuals("kinematic", rover, folder))
     both = runs["combined"].rows(runs["combined"].quality == FLOAT)
     judged = [judge(both, runs["forward"], runs["backward"], code, NEVER, c) for c in (None, codes)]
     at = np.zeros(len(both), np.int64) if known is None else known.at(both.time)

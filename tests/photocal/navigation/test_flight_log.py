@@ -15,7 +15,6 @@ from acquire.log.reader import LogReader
 from drivers.frames import Wire
 from drivers.mavlink.dialect import ardupilotmega
 from photocal.base.errors import InputNotFoundError
-from photocal.navigation.engine import Rtklib
 from photocal.navigation.exposure_run import ExposureChoices, run_exposures
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk_inputs import Sources
@@ -42,7 +41,7 @@ def test_the_exposures_open_the_log_once(log: Path, tmp_path: Path, monkeypatch:
         return plain(path, *arguments, **options)
 
     monkeypatch.setattr(Path, "open", counted)
-    run = run_exposures(ExposureChoices(Sources(FlightLog((log,)))), Rtklib(), tmp_path)
+    run = run_exposures(ExposureChoices(Sources(FlightLog((log,)))), tmp_path)
     assert len(run.exposures.images) > 5
     assert opened[log.name] == 1
 

@@ -15,7 +15,6 @@ from drivers.rtcm3 import encode
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError
 from photocal.base.time_scales import GPS_EPOCH_NS
 from photocal.navigation import rinex_files
-from photocal.navigation.engine import Rtklib
 from photocal.navigation.precise_results import count_ephemerides, read_observation_file
 from photocal.navigation.rinex_files import (
     form_of,
@@ -41,7 +40,7 @@ TODAY = day("2026-11-24T00:00:00")
 @pytest.mark.shared
 def test_plain_rinex_stays_where_it_is(shared: Path, tmp_path: Path) -> None:
     data = shared / "data/gnss-rinex-static-known"
-    assert observations_ready(data / "base.obs", Rtklib(), tmp_path / "a", TODAY).path == data / "base.obs"
+    assert observations_ready(data / "base.obs", tmp_path / "a", TODAY).path == data / "base.obs"
     assert navigation_ready(data / "base.nav", tmp_path / "n") == (data / "base.nav",)
 
 
@@ -52,11 +51,11 @@ def test_packed_rinex_is_unpacked(shared: Path, tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "base.zip", "w") as archive:
         archive.writestr("base.24o", plain)
     for name in ("base.obs.gz", "base.zip"):
-        ready = observations_ready(tmp_path / name, Rtklib(), tmp_path / "made", TODAY)
+        ready = observations_ready(tmp_path / name, tmp_path / "made", TODAY)
         assert ready.path.read_bytes() == plain
     (tmp_path / "cut.gz").write_bytes(gzip.compress(plain)[:-20])
     with pytest.raises(InputMalformedError, match="cannot be unpacked"):
-        observations_ready(tmp_path / "cut.gz", Rtklib(), tmp_path / "made", TODAY)
+        observations_ready(tmp_path / "cut.gz", tmp_path / "made", TODAY)
 
 
 @pytest.mark.shared
@@ -70,7 +69,7 @@ def test_an_archive_of_a_station_has_observations_and_ephemerides(shared: Path, 
         archive.writestr("ppte1761.24n", orbits)
         archive.writestr("ppte1761.24o", observed)
         archive.writestr("leia-me.txt", "RBMC")
-    ready = observations_ready(path, Rtklib(), tmp_path / "made", TODAY)
+    ready = observations_ready(path, tmp_path / "made", TODAY)
     assert ready.path.read_bytes() == observed
     assert [one.read_bytes() for one in ready.navigation] == [orbits, orbits]
     assert len({ready.path, *ready.navigation}) == 3
@@ -78,12 +77,12 @@ def test_an_archive_of_a_station_has_observations_and_ephemerides(shared: Path, 
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("ppte1761a.24o", observed)
     with pytest.raises(InputMalformedError, match="has 5 files"):
-        observations_ready(path, Rtklib(), tmp_path / "made", TODAY)
+        observations_ready(path, tmp_path / "made", TODAY)
     alone = tmp_path / "alone.zip"
     with zipfile.ZipFile(alone, "w") as archive:
         archive.writestr("a.24o", observed)
         archive.writestr("b.txt", "RBMC")
-    assert observations_ready(alone, Rtklib(), tmp_path / "made", TODAY).navigation == ()
+    assert observations_ready(alone, tmp_path / "made", TODAY).navigation == ()
     with pytest.raises(IllPosedError, match="no ephemerides"):
         navigation_ready(alone, tmp_path / "n")
 
@@ -105,7 +104,7 @@ def test_damaged_packing_is_refused_wherever_it_is_damaged(kind: str, tmp_path: 
         path.write_bytes(spoilt)
         # Some bytes matter to nobody; then it is no RINEX file.
         with pytest.raises(InputMalformedError):
-            observations_ready(path, Rtklib(), tmp_path / "out", TODAY)
+            observations_ready(path, tmp_path / "out", TODAY)
 
 
 @pytest.mark.parametrize("kind", ["gz", "zip"])
@@ -120,7 +119,7 @@ def test_what_grows_without_end_is_refused(
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr("site.obs", plain)
     with pytest.raises(InputMalformedError, match="longer than"):
-        observations_ready(path, Rtklib(), tmp_path / "out", TODAY)
+        observations_ready(path, tmp_path / "out", TODAY)
 
 
 @pytest.mark.shared
@@ -133,7 +132,7 @@ def test_hatanakas_compression_by_the_program_of_its_author(shared: Path, tmp_pa
     short = plain.replace(b" 0.", b"  .").replace(b"-0.", b" -.")
     for name, content in {"r.crx": packed, "r.crx.gz": gzip.compress(packed)}.items():
         (tmp_path / name).write_bytes(content)
-        ready = observations_ready(tmp_path / name, Rtklib(), tmp_path / "made", TODAY)
+        ready = observations_ready(tmp_path / name, tmp_path / "made", TODAY)
         # The program leaves out a zero before the point.
         assert (
             ready.path.read_bytes().replace(b" 0.", b"  .").replace(b"-0.", b" -.").split() == short.split()
@@ -156,7 +155,7 @@ def test_first_epochs_of_1980_are_left_out_and_counted(shared: Path, tmp_path: P
     first = "> " + early.split("> ")[1]
     path = tmp_path / "rover.obs"
     path.write_text(f"{head}END OF HEADER       \n{first}{first}{body}")
-    ready = observations_ready(path, Rtklib(), tmp_path / "made", TODAY)
+    ready = observations_ready(path, tmp_path / "made", TODAY)
     assert "2 first epochs of 1980" in ready.remarks[0]
     assert ready.path.read_text() == plain
     assert path.read_text() != plain
@@ -214,7 +213,7 @@ def test_rtcm_in_djis_files_becomes_observations(shared: Path, tmp_path: Path, n
     raw = (shared / "data/gnss-rtklib-testdata/rcvraw/GMSD7_20121014.rtcm3").read_bytes()
     path = tmp_path / name
     path.write_bytes(b"\x00DJI\xd3\x00" + raw)
-    ready = observations_ready(path, Rtklib(), tmp_path / "made", TODAY)
+    ready = observations_ready(path, tmp_path / "made", TODAY)
     assert "RTCM 3" in ready.remarks[0]
     assert "untried" not in ready.remarks[0]
     found = read_observation_file(ready.path)
@@ -291,5 +290,5 @@ def test_what_is_nothing_known_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "EVENTLOG.bin"
     path.write_bytes(bytes(1000))
     with pytest.raises(InputMalformedError, match="neither RINEX nor a known raw format"):
-        observations_ready(path, Rtklib(), tmp_path / "made", TODAY)
+        observations_ready(path, tmp_path / "made", TODAY)
     shutil.rmtree(tmp_path)

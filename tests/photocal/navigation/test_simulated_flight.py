@@ -13,7 +13,6 @@ import pytest
 from photocal.block.project import read_project
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue
-from photocal.navigation.engine import Rtklib
 from photocal.navigation.exposure_run import (
     ExposureChoices,
     ExposureRun,
@@ -55,7 +54,7 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
     choices = replace(choices_of_project(read_project(project)), oriented=truth)
     with truth.open() as stream:
         shutter = [int(row["middle_gps_ns"]) - int(row["event_gps_ns"]) for row in csv.DictReader(stream)]
-    run = run_exposures(choices, Rtklib(), tmp_path_factory.mktemp("ppk"))
+    run = run_exposures(choices, tmp_path_factory.mktemp("ppk"))
     return Flight(choices, run, float(np.median(shutter)) / 1e9)
 
 
@@ -97,7 +96,7 @@ def test_orthometric_heights_declared_ellipsoidal(flight: Flight, tmp_path: Path
     assert sources.base_position is not None
     lat, lon, height = sources.base_position.split(",")
     lower = replace(sources, base_position=f"{lat},{lon},{float(height) - GEOID_M}")
-    run = run_exposures(replace(flight.choices, sources=lower, oriented=None), Rtklib(), tmp_path)
+    run = run_exposures(replace(flight.choices, sources=lower, oriented=None), tmp_path)
     check = failed(run)["height-kind"]
     assert "orthometric, not ellipsoidal" in english(check)
     assert check.figures["geoid_m"] == pytest.approx(GEOID_M, abs=0.5)

@@ -16,7 +16,7 @@ from acquire.simulate.gnss.observations import Session, simulate
 from acquire.simulate.gnss.settings import BASE
 from acquire.simulate.gnss.streams import base_ubx
 from photocal.block.folder import read_points
-from photocal.navigation.engine import Rtklib
+from photocal.navigation.engine import to_rinex
 from photocal.navigation.time import GpsTime
 from tests.acquire.simulate.gnss.flights import AXES, BASE_M, SECOND, ecef, gps_ns
 from tests.conftest import needs_engine
@@ -114,7 +114,7 @@ def test_a_precise_point(photocal: Photocal, tmp_path: Path) -> None:
         rng=np.random.default_rng(3), rover_model=replace(BASE, interval_s=300.0),
         base_model=replace(BASE, slips_per_hour=0.0, code_bias_m=0.0),
     )  # fmt: skip
-    Rtklib().convert(base_ubx(session).data, "ubx", tmp_path / "base", GpsTime(np.array([START])))
+    to_rinex(base_ubx(session).data, "ubx", tmp_path / "base", GpsTime(np.array([START])))
     (tmp_path / "orbits.sp3").write_text(sp3(session, 2))
     path = tmp_path / "survey.toml"
     path.write_text("""

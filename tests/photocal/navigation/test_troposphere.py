@@ -25,8 +25,10 @@ from photocal.navigation.common_errors import (
     remaining_lapse,
     saturation_hpa,
 )
-from photocal.navigation.engine import Rtklib
-from photocal.navigation.ppk import Inputs, PpkResult, options_for, process
+from photocal.navigation.engine import to_rinex
+from photocal.navigation.ppk import options_for, process
+from photocal.navigation.ppk_inputs import Inputs
+from photocal.navigation.ppk_result import Ppk
 from photocal.navigation.precise_results import ObservationFile, read_observation_file
 from photocal.navigation.survey import KnownMark, MeasuredBaseline, Survey, SurveySetup, run_survey
 from photocal.navigation.time import GpsTime
@@ -109,20 +111,20 @@ def observed(
         rover_model=replace(ROVER, interval_s=1.0),
         sky=SkySettings(relative_humidity=humidity, wet_sigma_m=0.0),
     )
-    engine, near = Rtklib(), GpsTime(np.array([START]))
+    near = GpsTime(np.array([START]))
     streams = ("rover", rover_ubx(session, None, rng=np.random.default_rng(1))), ("base", base_ubx(session))
-    made = [engine.convert(stream.data, "ubx", folder / name, near) for name, stream in streams]
+    made = [to_rinex(stream.data, "ubx", folder / name, near) for name, stream in streams]
     rover, base = (read_observation_file(observations) for observations, _ in made)
     return rover, base, [ephemerides for _, ephemerides in made]
 
 
-def flown(humidity: float, weather: AirAtBase | None, folder: Path) -> tuple[PpkResult, Floats]:
+def flown(humidity: float, weather: AirAtBase | None, folder: Path) -> tuple[Ppk, Floats]:
     """Fly a loop 120 m above the base in this air; errors of the positions, east, north, up."""
     way, raised = Loop(START), np.array([0.0, 0.0, 70.0]) @ AXES
     rover_at = Antenna(lambda t: way.position(t) + raised, way.velocity)
     rover, base, navigation = observed(rover_at, humidity, folder)
     inputs = Inputs(rover, base, navigation, BASE_M, "truth", weather=weather)
-    result = process(inputs, options_for(rover, base), "kinematic", Rtklib(), folder)
+    result = process(inputs, options_for(rover, base), "kinematic", folder)
     t = result.trajectory
     assert (t.status == "fixed").mean() > 0.9
     truth = way.position(t.time.ns) + raised
@@ -194,7 +196,7 @@ def test_a_mark_on_a_hill_is_surveyed_through_the_air(tmp_path: Path) -> None:
         setup = SurveySetup(required_minutes=1.0, weather=air, known=(known,), baseline=(baseline,))
         scratch = folder / "scratch"
         scratch.mkdir()
-        solution, (session,), _ = run_survey(Survey(setup, folder, Rtklib(), scratch))
+        solution, (session,), _ = run_survey(Survey(setup, folder, scratch))
         up = float((solution.xyz_m[1] - BASE_M) @ AXES[2])
         heights[humidity] = up, session["air_correction_m"]
     (dry, nothing), (moist, correction) = heights[0.0], heights[0.7]

@@ -1,44 +1,92 @@
-"""What a person judges a PPK run by: figures, sentences and a plot."""
+"""A PPK run: its trajectory, and what a person judges it by: figures, sentences and a plot."""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from photocal.base.arrays import Floats, as_plain, picked
-from photocal.base.files import output_picture, write_json
+from photocal.base.files import output_folder, output_picture, write_json
 from photocal.base.geodesy import geodetic
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, findings_of, plain
 from photocal.navigation.base_frame import BaseFrame
-from photocal.navigation.common_errors import common_text
-from photocal.navigation.engine import FIXED, Rtklib
+from photocal.navigation.common_errors import CommonErrors, common_text
+from photocal.navigation.engine import ENGINE, FIXED, EngineSolution, Mode, ProcessingOptions
 from photocal.navigation.fix_validation import ValidatedFixes
-from photocal.navigation.ppk import PpkResult, options_for, process
 from photocal.navigation.ppk_figures import FIGURES
-from photocal.navigation.ppk_inputs import Sources, gather_inputs
-from photocal.navigation.trajectory import write_trajectory
-
-# The engine uses older observations of the base no more.
-
-
-def solved(sources: Sources, engine: Rtklib, folder: Path) -> tuple[PpkResult, dict[str, Any]]:
-    """Process a rover in motion against its base; also return the figures."""
-    inputs, remarks = gather_inputs(sources, engine, folder)
-    options = options_for(inputs.rover, inputs.base, sources.rover_antenna_m, sources.base_antenna_m)
-    result = process(inputs, options, "kinematic", engine, folder)
-    return result, ppk_figures(result, remarks)
+from photocal.navigation.ppk_inputs import Inputs
+from photocal.navigation.time import GpsTime
+from photocal.navigation.trajectory import Trajectory, write_trajectory
 
 
-def write_ppk(folder: Path, result: PpkResult, figures: dict[str, Any]) -> None:
-    """Write `trajectory.csv`, `ppk.json` and `ppk.png`."""
-    write_trajectory(folder / "trajectory.csv", result.trajectory)
-    write_json(folder / FIGURES, figures, 2)
-    plot_ppk(result, folder / "ppk.png")
+@dataclass(frozen=True, repr=False)
+class Ppk:
+    """A trajectory from raw observations, and the figures by which it is judged.
+
+    Attributes
+    ----------
+    inputs, options, mode
+        What it was computed from, and how.
+    combined
+        The engine's own positions, quality and sigmas.
+    judgement
+        Which of its fixes hold; None of a rover that stood still.
+    trajectory
+        Positions as judged.
+    base_off_code_m : array, shape (3,)
+        The base's position less its own code solution, east, north, up, m.
+    base_gaps_s
+        Begin and length of the gaps of the base within the rover's time, longest first.
+    replaced
+        Number of epochs at which the engine's combination lay apart from both directions.
+    common
+        Errors that all positions share.
+    """
+
+    inputs: Inputs
+    options: ProcessingOptions
+    mode: Mode
+    combined: EngineSolution
+    judgement: ValidatedFixes | None
+    trajectory: Trajectory
+    base_off_code_m: Floats
+    base_gaps_s: list[tuple[GpsTime, float]]
+    replaced: int
+    common: CommonErrors
+
+    @cached_property
+    def figures(self) -> dict[str, Any]:
+        """As in `ppk.json`: epochs, share of fixed ones, gaps of the base, findings."""
+        return _figures(self)
+
+    def __repr__(self) -> str:
+        """Say what `photocal ppk` prints."""
+        return ppk_text(self.figures)
+
+    def write(self, folder: str | Path) -> None:
+        """Write `trajectory.csv`, `ppk.json` and `ppk.png` into a folder that is made.
+
+        Parameters
+        ----------
+        folder
+            Folder to write.
+        """
+        with output_folder(Path(folder)) as aside:
+            write_ppk(aside, self)
 
 
-def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
+def write_ppk(folder: Path, made: Ppk) -> None:
+    """Write the files of `Ppk.write` into a folder that is there."""
+    write_trajectory(folder / "trajectory.csv", made.trajectory)
+    write_json(folder / FIGURES, made.figures, 2)
+    plot_ppk(made, folder / "ppk.png")
+
+
+def _figures(result: Ppk) -> dict[str, Any]:
     """Return the figures of a run, ready for JSON."""
     rover, base = result.inputs.rover.time, result.inputs.base.time
     trajectory = result.trajectory
@@ -49,7 +97,8 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
     listed_gaps = 10
     figures: dict[str, Any] = {
         "schema": "photocal.ppk/1",
-        **picked(result, "engine", "mode"),
+        "engine": ENGINE,
+        "mode": result.mode,
         "options": {
             **picked(options, *of_options, least_ratio="ratio"),
             "frequencies": "L1+L2" if options.two_frequencies else "L1",
@@ -72,15 +121,15 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
         **counts,
         "rover_epochs_without_position": len(rover) - len(trajectory) if result.mode != "static" else 0,
         "fixed_percent": 100.0 * counts["fixed"] / len(trajectory),
-        "remarks": remarks,
+        "remarks": result.inputs.remarks,
         "findings": [finding_json(finding, say) for finding in _findings(result, counts, len(trajectory))],
     }
     if result.judgement is not None:
         figures["validation"] = _validation(result, result.judgement)
-    if result.common is not None and result.mode != "static":
-        figures["common"] = result.common.as_json()
     if result.mode == "static":
         figures["position"] = _place(trajectory.place[0])
+    else:
+        figures["common"] = result.common.as_json()
     plain: dict[str, Any] = as_plain(figures)
     return plain
 
@@ -94,7 +143,7 @@ def _frame(known: BaseFrame | None) -> dict[str, Any]:
     return {} if moved is None else {"moved": moved.as_json()}
 
 
-def _findings(result: PpkResult, counts: dict[str, int], epochs: int) -> Iterator[Finding]:
+def _findings(result: Ppk, counts: dict[str, int], epochs: int) -> Iterator[Finding]:
     """Find what should not pass silently into results."""
     # Corrections that are this old still serve; longer gaps are reported.
     long_gap_s = 30.0
@@ -126,7 +175,7 @@ def _span(file: Any) -> dict[str, Any]:
     }
 
 
-def _validation(result: PpkResult, judgement: ValidatedFixes) -> dict[str, Any]:
+def _validation(result: Ppk, judgement: ValidatedFixes) -> dict[str, Any]:
     fixed = judgement.solution.quality == 1
     apart = judgement.separation_m
     known = np.isfinite(apart).all(axis=1)
@@ -241,7 +290,7 @@ def _validation_text(validation: dict[str, Any], say: Catalogue) -> list[str]:
     return lines
 
 
-def plot_ppk(result: PpkResult, path: Path) -> None:
+def plot_ppk(result: Ppk, path: Path) -> None:
     """Draw track, height, separation of the directions and ratio."""
     t = result.trajectory
     east, north, _ = t.offsets(np.median(t.place, axis=0)).T
