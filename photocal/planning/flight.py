@@ -1,6 +1,6 @@
 """The whole plan of a flight: camera, heights, overlaps, strips, what they give, and places for control.
 
-Flight geometry is that over level ground, from the frame of the camera; precision is that to be expected.
+Flight geometry is that over level ground, from c and image size; precision is that to be expected.
 """
 
 import math
@@ -11,6 +11,7 @@ import numpy as np
 
 from photocal.base.arrays import Floats, spread
 from photocal.base.errors import ConfigurationError
+from photocal.geometry.camera import Camera, camera, pixel_to_plane
 from photocal.planning.area import Area, LocalPlane, grid, inside, polygon_area
 
 Side = Literal["columns", "rows"]
@@ -20,45 +21,36 @@ Layout = tuple[Floats, Floats]
 _GRID_SHARE = 1.0 / 60.0
 
 
-@dataclass(frozen=True)
-class PlanningCamera:
-    """Camera frame for planning.
+def planned_camera(
+    focal_mm: float, pixel_um: float, size_px: tuple[int, int], estimate: tuple[str, ...] = ()
+) -> Camera:
+    """Give a camera without distortion, in mm.
 
-    pixel_m: pixel pitch, m, the same in both directions.
+    raises ConfigurationError: for a length that is not positive, or a name that is no parameter.
     """
-
-    focal_m: float
-    pixel_m: float
-    columns: int
-    rows: int
-
-    def __post_init__(self) -> None:
-        if not (self.focal_m > 0.0 and self.pixel_m > 0.0 and self.columns > 0 and self.rows > 0):
-            raise ConfigurationError("focal length, pixel size and image size must be positive")
+    if not (focal_mm > 0.0 and pixel_um > 0.0 and min(size_px) > 0):
+        raise ConfigurationError("focal length, pixel size and image size must be positive")
+    pitch = pixel_um * 1e-3
+    return camera("planned", "brown-ideal", "mm", size_px, (pitch, pitch), {"c": focal_mm}, estimate=estimate)
 
 
-def scale_denominator(gsd_m: float, pixel_m: float) -> float:
-    """Give the photo scale that has a ground sample distance (canon-elph study, equation 31)."""
-    return gsd_m / pixel_m
+def flying_height(gsd_m: float, planned: Camera) -> float:
+    """Give the height above ground of a ground sample distance (canon-elph study, equations 31 and 32).
 
-
-def flying_height(focal_m: float, denominator: float) -> float:
-    """Give the height above ground of a photo scale (canon-elph study, equation 32).
-
-    returns: height above ground, m; with `scale_denominator` it is f GSD / pixel (Alves Junior et al. 2015,
-        equation 1).
+    f GSD / pixel (Alves Junior et al. 2015, equation 1).
     """
-    return focal_m * denominator
+    return gsd_m * planned.value("c") / planned.pitch[0]
 
 
-def ground_sample_distance(height_m: float, frame: PlanningCamera) -> float:
+def ground_sample_distance(height_m: float, planned: Camera) -> float:
     """Give the size of a pixel on level ground."""
-    return height_m * frame.pixel_m / frame.focal_m
+    return height_m * planned.pitch[0] / planned.value("c")
 
 
-def footprint(gsd_m: float, frame: PlanningCamera) -> tuple[float, float]:
+def footprint(gsd_m: float, planned: Camera) -> tuple[float, float]:
     """Give the ground that a vertical photo shows."""
-    return frame.columns * gsd_m, frame.rows * gsd_m
+    columns, rows = planned.size_px
+    return columns * gsd_m, rows * gsd_m
 
 
 def air_base(overlap: float, ground_side_m: float) -> float:
@@ -70,14 +62,6 @@ def air_base(overlap: float, ground_side_m: float) -> float:
     return (1.0 - overlap) * ground_side_m
 
 
-def image_point(column: float, row: float, frame: PlanningCamera) -> tuple[float, float]:
-    """Give photo coordinates of a pixel (canon-elph study, equations 34-35)."""
-    return (
-        (column - (frame.columns - 1) / 2.0) * frame.pixel_m,
-        -(row - (frame.rows - 1) / 2.0) * frame.pixel_m,
-    )
-
-
 def exposure_interval(base_m: float, ground_speed_m_s: float) -> float:
     """Give the time between exposures at a ground speed."""
     if not ground_speed_m_s > 0.0:
@@ -85,50 +69,50 @@ def exposure_interval(base_m: float, ground_speed_m_s: float) -> float:
     return base_m / ground_speed_m_s
 
 
-def parallax_sigma(image_sigma_m: float) -> float:
+def parallax_sigma(image_sigma: float) -> float:
     """Give the standard deviation of an x parallax, the difference of two measured coordinates."""
-    return math.sqrt(2.0) * image_sigma_m
+    return math.sqrt(2.0) * image_sigma
 
 
 def stereo_precision(
-    height_m: float, base_m: float, focal_m: float, point_m: tuple[float, float], image_sigma_m: float
+    height_m: float, base_m: float, c: float, point: tuple[float, float], image_sigma: float
 ) -> dict[str, float]:
     """Expect the precision of a point intersected from one pair of vertical photos.
 
+    c, point, image_sigma: in one unit; point: in the image plane.
     returns: standard deviations, m, "x" and "y" along the axes of the photo, "z" in height, and "plane" of
         both coordinates (canon-elph study, equation 39).
     """
-    parallax = parallax_sigma(image_sigma_m)
-    scale = height_m / focal_m
+    parallax = parallax_sigma(image_sigma)
+    scale = height_m / c
 
     def plane(coordinate: float) -> float:
         """Standard deviation of a ground coordinate: of its parallax and of the image point itself."""
-        return scale * math.hypot(coordinate / focal_m * height_m / base_m * parallax, image_sigma_m)
+        return scale * math.hypot(coordinate / c * height_m / base_m * parallax, image_sigma)
 
-    x, y = map(plane, point_m)
-    height = normal_case_height_sigma(height_m, base_m, focal_m, parallax)
+    x, y = map(plane, point)
+    height = normal_case_height_sigma(height_m, base_m, c, parallax)
     return {"x": x, "y": y, "z": height, "plane": math.hypot(x, y)}
 
 
-def normal_case_height_sigma(
-    height_m: float, base_m: float, focal_m: float, parallax_sigma_m: float
-) -> float:
-    """Expect the standard deviation of a height in the normal case."""
-    return height_m**2 / (base_m * focal_m) * parallax_sigma_m
+def normal_case_height_sigma(height_m: float, base_m: float, c: float, parallax: float) -> float:
+    """Expect the standard deviation of a height in the normal case; c and parallax in one unit."""
+    return height_m**2 / (base_m * c) * parallax
 
 
-def expected_altimetric_accuracy(height_m: float, base_m: float, focal_m: float, pixel_m: float) -> float:
+def expected_altimetric_accuracy(height_m: float, base_m: float, c: float, pixel: float) -> float:
     """Give the dz of the calibration report form of the Brazilian ministry of defence."""
-    return normal_case_height_sigma(height_m, base_m, focal_m, parallax_sigma(pixel_m))
+    return normal_case_height_sigma(height_m, base_m, c, parallax_sigma(pixel))
 
 
 def corner_precision(
-    frame: PlanningCamera, height_m: float, base_m: float, image_sigma_px: float
+    planned: Camera, height_m: float, base_m: float, image_sigma_px: float
 ) -> dict[str, float]:
     """Expect the precision far out in the image, where it is worst."""
     share = 0.95
-    point = image_point(share * frame.columns, share * frame.rows, frame)
-    return stereo_precision(height_m, base_m, frame.focal_m, point, image_sigma_px * frame.pixel_m)
+    x, y = pixel_to_plane(planned.size_px, planned.pitch, share * np.array(planned.size_px)).tolist()
+    sigma = image_sigma_px * planned.pitch[0]
+    return stereo_precision(height_m, base_m, planned.value("c"), (x, y), sigma)
 
 
 @dataclass(frozen=True)
@@ -220,6 +204,8 @@ class FlightRequest:
 
     Attributes
     ----------
+    camera
+        Its image size, pitch and c, in mm.
     forward_overlap, side_overlap
         Shares of the footprint, 0 to below 1.
     along
@@ -233,7 +219,7 @@ class FlightRequest:
         edge.
     """
 
-    frame: PlanningCamera
+    camera: Camera
     height_m: float
     forward_overlap: float
     side_overlap: float
@@ -311,23 +297,23 @@ def level_geometry(request: FlightRequest, height_m: float) -> LevelGeometry:
             f"a flying height of {height_m:g} m above ground is not possible",
             "check the units: focal length in mm, pixel in micrometres, GSD in cm, heights in m",
         )
-    frame = request.frame
-    gsd = ground_sample_distance(height_m, frame)
-    ground = footprint(gsd, frame)
+    planned, c = request.camera, request.camera.value("c")
+    gsd = ground_sample_distance(height_m, planned)
+    ground = footprint(gsd, planned)
     along, across = ground if request.along == "columns" else ground[::-1]
     base = air_base(request.forward_overlap, along)
     # Half a pixel: what the canon-elph study takes for a tie point in one image.
     image_sigma_px = 0.5
     return LevelGeometry(
         height_m,
-        scale_denominator(gsd, frame.pixel_m),
+        height_m / (c * 1e-3),
         gsd,
         ground,
         base,
         air_base(request.side_overlap, across),
         exposure_interval(base, request.speed_m_s),
-        corner_precision(frame, height_m, base, image_sigma_px),
-        expected_altimetric_accuracy(height_m, base, frame.focal_m, frame.pixel_m),
+        corner_precision(planned, height_m, base, image_sigma_px),
+        expected_altimetric_accuracy(height_m, base, c, planned.pitch[0]),
     )
 
 

@@ -27,8 +27,8 @@ from photocal.findings.document import Paragraph, Section, table, text
 from photocal.findings.texts import Catalogue, catalogue
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import angles_from_matrix, turned_left
-from photocal.planning.flight import PlanningCamera
-from photocal.planning.simulated_adjustment import SELF_CALIBRATION, planned_camera, visible_rays
+from photocal.planning.flight import planned_camera
+from photocal.planning.simulated_adjustment import SELF_CALIBRATION, visible_rays
 
 _NORMAL = ("nX", "nY", "nZ")
 Place = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -44,9 +44,9 @@ class PlannedCameraKeys(Table):
     estimate: tuple[str, ...] = SELF_CALIBRATION
 
     @property
-    def frame(self) -> PlanningCamera:
-        """The frame that its images cover."""
-        return PlanningCamera(self.focal_mm * 1e-3, self.pixel_um * 1e-6, *self.image_px)
+    def planned(self) -> Camera:
+        """The camera itself."""
+        return planned_camera(self.focal_mm, self.pixel_um, self.image_px, self.estimate)
 
 
 class FieldKeys(Table):
@@ -142,8 +142,8 @@ def read_network(path: Path) -> Block:
     keys = read_toml(path, NetworkKeys)
     targets, xyz, normal = _targets(keys.object, path)
     names, poses = _photos(keys.stations)
-    frame = keys.camera.frame
-    image, point, seen = visible_rays(poses, xyz, frame)
+    planned = keys.camera.planned
+    image, point, seen = visible_rays(poses, xyz, planned)
     toward = poses[image, 3:] - xyz[point]
     slope = np.einsum("na,na->n", toward, normal[point]) / np.linalg.norm(toward, axis=1)
     keep = ~(slope < np.cos(np.radians(keys.object.steepest_deg)))
@@ -164,7 +164,7 @@ def read_network(path: Path) -> Block:
         "local",
         "",
         "control" if keys.datum.control or keys.datum.held else "free",
-        (planned_camera(frame, keys.camera.estimate),),
+        (planned,),
         Images(names, np.zeros(len(names), dtype=np.int64), poses, _held(keys.datum.held, names, path)),
         *_observed(keys, targets, xyz, (image, point, seen), path),
     )

@@ -49,24 +49,22 @@ class FlightOptions(Options):
             For an image size that is none, or when not exactly one of height and ground sample distance is
             given.
         """
-        from photocal.planning.flight import FlightRequest, PlanningCamera, flying_height, scale_denominator
+        from photocal.planning.flight import FlightRequest, flying_height, planned_camera
 
         size = _SIZE.match(self.image_px.strip())
         if size is None:
             raise ConfigurationError(
                 f"{self.image_px!r} is not an image size", "write columns x rows: 5472x3648"
             )
-        frame = PlanningCamera(
-            self.focal_mm * 1e-3, self.pixel_um * 1e-6, int(size["columns"]), int(size["rows"])
-        )
+        size_px = int(size["columns"]), int(size["rows"])
+        camera = planned_camera(self.focal_mm, self.pixel_um, size_px)
         if (self.height is None) == (self.gsd_cm is None):
             raise ConfigurationError("give either --height or --gsd-cm")
         height = self.height
         if height is None:
-            denominator = scale_denominator((self.gsd_cm or 0.0) * 1e-2, frame.pixel_m)
-            height = flying_height(frame.focal_m, denominator)
+            height = flying_height((self.gsd_cm or 0.0) * 1e-2, camera)
         return FlightRequest(
-            frame,
+            camera,
             height,
             self.forward,
             self.side,

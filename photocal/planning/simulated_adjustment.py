@@ -5,7 +5,7 @@ observations are free of errors; its covariance is that of the flight as planned
 model, of the terrain and of the weather are not in it.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,10 +14,10 @@ from photocal.adjustment.network import ExteriorOrientations, Network, Points, R
 from photocal.base.arrays import Floats, Integers, picked
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.findings.texts import Catalogue
-from photocal.geometry.camera import PARAMETERS, Camera, camera
+from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.planning.area import grid
-from photocal.planning.flight import Layout, PlannedFlight, PlanningCamera
+from photocal.planning.flight import Layout, PlannedFlight
 from photocal.planning.options import PrecisionOptions
 
 SELF_CALIBRATION = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
@@ -57,7 +57,7 @@ def simulate(flight: PlannedFlight, layout: Layout, survey: PrecisionOptions) ->
     except (IllPosedError, NotConvergedError) as refusal:
         return SimulatedPrecision(method, *counts, reason=str(refusal))
     variance = np.diagonal(solution.point_covariance[check], axis1=1, axis2=2)
-    lens = np.sqrt(np.diag(solution.camera_covariance[0])) / (flight.request.frame.pixel_m * 1e3)
+    lens = np.sqrt(np.diag(solution.camera_covariance[0])) / flight.request.camera.pitch[0]
     camera_px = {name: float(lens[PARAMETERS.index(name)]) for name in ("c", "x0", "y0")}
     return SimulatedPrecision(
         method,
@@ -73,15 +73,16 @@ def planned_network(
 ) -> tuple[Network, Integers]:
     """Make the network that the flight will give, free of errors."""
     poses = _poses(flight)
-    frame = flight.request.frame
+    lens = flight.request.camera
     plane = np.vstack([*layout, _ties(flight)])
     # Waves of about a footprint's length: relief that every photo sees some of.
     length = min(flight.levels[0].footprint_m)
     height = survey.relief_m * np.sin(2 * np.pi * plane[:, 0] / length)
     height = height * np.cos(2 * np.pi * plane[:, 1] / length)
     xyz = np.column_stack([plane, height])
-    interior = planned_camera(frame, SELF_CALIBRATION if survey.calibrate else ())
-    image, point, seen = visible_rays(poses, xyz, frame)
+    if survey.calibrate:
+        lens = replace(lens, estimated=among(*SELF_CALIBRATION))
+    image, point, seen = visible_rays(poses, xyz, lens)
     keep = np.bincount(point)[point] >= 2
     # Photos at the ends of strips may see no ground of the area; four points orient a photo.
     strong = np.bincount(image[keep], minlength=len(poses)) >= 4
@@ -100,9 +101,9 @@ def planned_network(
     pose_sigma = np.full((images, 6), np.inf)
     if survey.gnss_m is not None:
         pose_sigma[:, 3:] = [survey.gnss_m[0]] * 2 + [survey.gnss_m[1]]
-    precision = np.full((len(order), 2), survey.image_sigma_px * frame.pixel_m * 1e3)
+    precision = np.full((len(order), 2), survey.image_sigma_px * lens.pitch[0])
     network = Network(
-        (interior,),
+        (lens,),
         ExteriorOrientations(np.zeros(images, dtype=np.int64), poses[strong], pose_sigma),
         Points(xyz[used], held, weight),
         Rays(number[image][order], place[order], seen[order], precision),
@@ -135,27 +136,14 @@ def _ties(flight: PlannedFlight) -> Floats:
     return grid(exposures.min(axis=0) - reach, exposures.max(axis=0) + reach, step)
 
 
-def planned_camera(frame: PlanningCamera, estimate: tuple[str, ...]) -> Camera:
-    """Give a camera without distortion; raises ConfigurationError for a name that is no parameter."""
-    return camera(
-        "planned",
-        "brown-ideal",
-        "mm",
-        (frame.columns, frame.rows),
-        (frame.pixel_m * 1e3, frame.pixel_m * 1e3),
-        {"c": frame.focal_m * 1e3},
-        estimate=estimate,
-    )
-
-
-def visible_rays(poses: Floats, xyz: Floats, frame: PlanningCamera) -> tuple[Integers, Integers, Floats]:
-    """Which photo sees which point, and where in mm from its middle."""
-    half = np.array([frame.columns, frame.rows]) / 2.0 * frame.pixel_m * 1e3
+def visible_rays(poses: Floats, xyz: Floats, planned: Camera) -> tuple[Integers, Integers, Floats]:
+    """Which photo sees which point, and where from its middle, in the unit of the camera."""
+    half = np.array(planned.size_px) / 2.0 * planned.pitch
     images, points, seen = [], [], []
     for number, pose in enumerate(poses):
         q = (xyz - pose[3:]) @ matrix_from_angles(pose[:3]).T
         with np.errstate(divide="ignore", invalid="ignore"):
-            plane = -frame.focal_m * 1e3 * q[:, :2] / q[:, 2:]
+            plane = -planned.value("c") * q[:, :2] / q[:, 2:]
         visible = np.flatnonzero((np.abs(plane) < half).all(axis=1) & (q[:, 2] < 0))
         images.append(np.full(len(visible), number))
         points.append(visible)

@@ -21,14 +21,13 @@ from photocal.products.raster import RasterFile, describe, opened, terrain_sourc
 class ProductCheck:
     """What products say at check points.
 
-    discrepancies: product minus reference; NaN where a product says nothing.
-    product (n, 3): E and N of the target in the orthomosaic, h of the terrain model at the surveyed place, m.
+    discrepancies: product minus reference: of the target in the orthomosaic, of the height at the surveyed
+        place in the terrain model; NaN where a product says nothing.
     likeness (n,): how well the target was recognised, 0 to 1; NaN without orthomosaic.
     remarks: one for each point that a product does not show.
     """
 
     discrepancies: Discrepancies
-    product: Floats
     likeness: Floats
     remarks: tuple[str, ...]
 
@@ -97,7 +96,7 @@ def check_products(points: ObjectPoints, options: ProductOptions) -> ProductChec
             if not np.isfinite(height)
         ]
     discrepancies = Discrepancies(points.names, product - points.values, points.values.copy())
-    return ProductCheck(discrepancies, product, likeness, tuple(remarks))
+    return ProductCheck(discrepancies, likeness, tuple(remarks))
 
 
 def _require_square(raster: RasterFile, diameter: float) -> None:

@@ -21,10 +21,10 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError
 from photocal.geometry.camera import among
 from photocal.planning import simulated_adjustment as planned
-from photocal.planning.flight import PlanningCamera
+from photocal.planning.flight import planned_camera
 
 OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "height_from_c.md"
-CAMERA = PlanningCamera(8.8e-3, 2.41e-6, 5472, 3648)
+CAMERA = planned_camera(8.8, 2.41, (5472, 3648))
 HEIGHT, BASE, APART, SIDE = 100.0, 22.0, 40.0, 200.0
 IMAGE_PX, GNSS_M, WRONG = 0.5, (0.02, 0.03), 1e-3
 SIMULATIONS = 40
@@ -77,9 +77,8 @@ def network(design: Design, *, free: bool) -> tuple[Network, Floats]:
     held, weight = point_weights(sigma)
     pose_sigma = np.full(design.poses.shape, np.inf)
     pose_sigma[:, 3:] = [GNSS_M[0], GNSS_M[0], GNSS_M[1]]
-    lens = planned.planned_camera(CAMERA, ())
-    lens = replace(lens, estimated=among("c")) if free else lens
-    precision = np.full((len(order), 2), IMAGE_PX * CAMERA.pixel_m * 1e3)
+    lens = replace(CAMERA, estimated=among("c")) if free else CAMERA
+    precision = np.full((len(order), 2), IMAGE_PX * CAMERA.pitch[0])
     made = Network(
         (lens,),
         ExteriorOrientations(np.zeros(len(design.poses), np.int64), design.poses, pose_sigma),

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from photocal.base.errors import ConfigurationError
+from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.smear import smear_px
 from photocal.planning.flight import (
-    PlanningCamera,
     air_base,
     corner_precision,
     expected_altimetric_accuracy,
@@ -17,36 +18,36 @@ from photocal.planning.flight import (
     flying_height,
     footprint,
     ground_sample_distance,
-    image_point,
     normal_case_height_sigma,
     parallax_sigma,
-    scale_denominator,
+    planned_camera,
     stereo_precision,
 )
 from photocal.planning.plan import error_budget
 
-ELPH = PlanningCamera(4.38e-3, 0.0013368e-3, 4608, 3456)
-IXUS = PlanningCamera(4.382e-3, 1.54e-6, 4000, 3000)
-PHANTOM = PlanningCamera(8.8e-3, 2.41e-6, 5472, 3648)
+ELPH = planned_camera(4.38, 1.3368, (4608, 3456))
+IXUS = planned_camera(4.382, 1.54, (4000, 3000))
+PHANTOM = planned_camera(8.8, 2.41, (5472, 3648))
 
 
 def test_canon_elph_scale_and_height() -> None:
-    denominator = scale_denominator(0.08, ELPH.pixel_m)
+    height = flying_height(0.08, ELPH)
+    assert height == pytest.approx(262.12, abs=0.005)
+    denominator = height / (ELPH.value("c") * 1e-3)
     assert denominator == pytest.approx(59844.40, abs=0.005)
-    assert flying_height(ELPH.focal_m, denominator) == pytest.approx(262.12, abs=0.005)
     # The long side of the sensor as printed, 6.17219 mm; the study prints 73.2 m instead.
     assert air_base(0.80, 6.17219e-3 * denominator) == pytest.approx(73.87, abs=0.005)
 
 
 def test_canon_elph_planning_figures_to_a_millimetre() -> None:
     """Equations 34-39 with the printed base of 73.2 m; the last digits are truncated in print."""
-    x, y = image_point(4377.0, 3283.0, ELPH)
-    assert (x * 1e3, y * 1e3) == pytest.approx((2.771, -2.079), abs=1e-3)
-    sigma = ELPH.pixel_m / 2.0
-    assert sigma * 1e3 == pytest.approx(0.0006684, abs=5e-8)
-    assert parallax_sigma(sigma) * 1e3 == pytest.approx(0.000945, abs=5e-7)
-    height = flying_height(ELPH.focal_m, scale_denominator(0.08, ELPH.pixel_m))
-    found = stereo_precision(height, 73.2, ELPH.focal_m, (x, y), sigma)
+    x, y = pixel_to_plane(ELPH.size_px, ELPH.pitch, np.array([4377.0, 3283.0])).tolist()
+    assert (x, y) == pytest.approx((2.771, -2.079), abs=1e-3)
+    sigma = ELPH.pitch[0] / 2.0
+    assert sigma == pytest.approx(0.0006684, abs=5e-8)
+    assert parallax_sigma(sigma) == pytest.approx(0.000945, abs=5e-7)
+    height = flying_height(0.08, ELPH)
+    found = stereo_precision(height, 73.2, ELPH.value("c"), (x, y), sigma)
     assert found["x"] == pytest.approx(0.134, abs=1e-3)
     assert found["y"] == pytest.approx(0.104, abs=1e-3)
     assert found["z"] == pytest.approx(0.202, abs=1e-3)
@@ -67,9 +68,9 @@ def test_canon_elph_error_budget() -> None:
 
 
 def test_ixus220_height_resolution_and_footprint() -> None:
-    nominal = PlanningCamera(5.1e-3, 1.54e-6, 4000, 3000)
-    assert flying_height(nominal.focal_m, scale_denominator(0.20, 1.54e-6)) == pytest.approx(662.3, abs=0.05)
-    assert flying_height(IXUS.focal_m, scale_denominator(0.20, 1.54e-6)) == pytest.approx(569.09, abs=0.005)
+    nominal = planned_camera(5.1, 1.54, (4000, 3000))
+    assert flying_height(0.20, nominal) == pytest.approx(662.3, abs=0.05)
+    assert flying_height(0.20, IXUS) == pytest.approx(569.09, abs=0.005)
     assert ground_sample_distance(711.0, IXUS) == pytest.approx(0.249872, abs=5e-7)
     assert ground_sample_distance(716.0, IXUS) == pytest.approx(0.251629, abs=5e-7)
     assert ground_sample_distance(680.0, IXUS) == pytest.approx(0.23898, abs=5e-6)
@@ -81,8 +82,8 @@ def test_ixus220_height_resolution_and_footprint() -> None:
 
 
 def test_ixus220_expected_height_sigma_is_not_the_printed_ten_centimetres() -> None:
-    assert normal_case_height_sigma(711.0, 225.0, IXUS.focal_m, 1.54e-6) == pytest.approx(0.7896, abs=5e-5)
-    assert normal_case_height_sigma(711.0, 300.0, IXUS.focal_m, 1.54e-6) == pytest.approx(0.5922, abs=5e-5)
+    assert normal_case_height_sigma(711.0, 225.0, 4.382, 1.54e-3) == pytest.approx(0.7896, abs=5e-5)
+    assert normal_case_height_sigma(711.0, 300.0, 4.382, 1.54e-3) == pytest.approx(0.5922, abs=5e-5)
 
 
 def test_phantom4pro_resolution_and_altimetric_accuracy() -> None:
@@ -112,6 +113,6 @@ def test_exposure_interval_follows_the_ground_speed() -> None:
 
 def test_frames_and_budgets_that_cannot_be() -> None:
     with pytest.raises(ConfigurationError, match="positive"):
-        PlanningCamera(0.0, 1e-6, 100, 100)
+        planned_camera(0.0, 1.0, (100, 100))
     with pytest.raises(ConfigurationError, match="standard error"):
         error_budget(-1.0)

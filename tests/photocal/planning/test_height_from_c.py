@@ -15,7 +15,7 @@ CORNERS = [(-51.41, -22.12), (-51.4085, -22.12), (-51.4085, -22.1212), (-51.41, 
 def test_straight_down_it_is_what_the_plan_says_and_c_cannot_be_estimated() -> None:
     asked = photocal.FlightOptions(focal_mm=8.8, pixel_um=2.41, image_px="5472x3648", height=HEIGHT)
     plan = photocal.plan(photocal.area_from_corners(CORNERS, "field"), asked.request())
-    wrong_um = WRONG * CAMERA.focal_m * 1e6
+    wrong_um = WRONG * CAMERA.value("c") * 1e3
     seen = study(DESIGNS[0], 0)
     assert seen.held_m == pytest.approx(-height_by_c(plan.flight.levels[0]) * wrong_um, rel=0.01)
     assert np.isnan(seen.sigma_c)

@@ -17,7 +17,7 @@ from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.base.geodesy import GeodeticPlace
 from photocal.commands.cli import app
 from photocal.planning.area import area_from_corners
-from photocal.planning.flight import FlightRequest, PlannedFlight, PlanningCamera, plan_flight
+from photocal.planning.flight import FlightRequest, PlannedFlight, plan_flight, planned_camera
 from photocal.planning.mission import (
     mission_items,
     qgroundcontrol_plan,
@@ -32,7 +32,7 @@ FIELD = [
     (-51.29408, -28.8554),
     (-51.29339, -28.85368),
 ]
-PHANTOM = PlanningCamera(8.8e-3, 2.41e-6, 5472, 3648)
+PHANTOM = planned_camera(8.8, 2.41, (5472, 3648))
 HOME = GeodeticPlace(-28.8535, -51.2945, 700.0)
 
 

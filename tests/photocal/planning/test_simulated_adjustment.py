@@ -17,8 +17,8 @@ from photocal.planning.flight import (
     FlightRequest,
     Layout,
     PlannedFlight,
-    PlanningCamera,
     plan_flight,
+    planned_camera,
     suggest_layout,
 )
 from photocal.planning.options import PrecisionOptions
@@ -33,7 +33,7 @@ def planned(
     forward: float = 0.7, side: float = 0.6, second: float | None = None
 ) -> tuple[PlannedFlight, Layout]:
     request = FlightRequest(
-        PlanningCamera(8.8e-3, 2.41e-6, 5472, 3648), 100.0, forward, side, second_height_m=second
+        planned_camera(8.8, 2.41, (5472, 3648)), 100.0, forward, side, second_height_m=second
     )
     flight = plan_flight(area_from_corners(CORNERS, "here"), request)
     return flight, suggest_layout(flight.corners_m, 5, 8, 10.0)

@@ -12,11 +12,11 @@ from photocal.base.errors import ConfigurationError
 from photocal.base.geodesy import GeodeticPlace
 from photocal.findings.texts import catalogue
 from photocal.planning.area import Area
-from photocal.planning.flight import FlightRequest, PlannedFlight, PlanningCamera, plan_flight
+from photocal.planning.flight import FlightRequest, PlannedFlight, plan_flight, planned_camera
 from photocal.planning.mission import at_speed, farthest_m, in_wind
 
 AREA = Area(np.array([-28.853, -28.853, -28.849, -28.849]), np.array([-51.294, -51.290, -51.290, -51.294]))
-FRAME = PlanningCamera(8.8e-3, 2.41e-6, 5472, 3648)
+FRAME = planned_camera(8.8, 2.41, (5472, 3648))
 
 
 def flight_of(azimuth_deg: float, border: float = 0.0) -> PlannedFlight:
