@@ -187,15 +187,16 @@ class OrientedImages:
             rays.append(np.column_stack([ideal, np.full(len(ideal), -camera.values[0])]))
         return np.asarray(np.einsum("mkc,mcd->mkd", np.array(rays)[self.camera], self.rotation))
 
-    def on_level(self, places: Floats, height: float) -> Floats:
+    def on_level(self, places: Floats, height: Floats | float) -> Floats:
         """Where rays through places of each image meet a level, shape (n, m, 3), in local coordinates.
 
         places: as of `directions`.
+        height (n,): of the level, or one for all images.
         returns: NaN for an image of which a ray does not go there.
         """
         rays = self.directions(places)
         with np.errstate(divide="ignore", invalid="ignore"):
-            steps = (height - self.station[:, None, 2]) / rays[..., 2]
+            steps = (height - self.station[:, 2])[:, None] / rays[..., 2]
             points = self.station[:, None] + steps[..., None] * rays
         meet = np.asarray(((steps > 0) & np.isfinite(steps)).all(axis=1))
         return np.where(meet[:, None, None], points, np.nan)

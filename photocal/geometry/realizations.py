@@ -2,15 +2,17 @@
 
 In frames of the world (ITRF, IGS) the ground moves by centimetres a year; systems of countries are fixed to
 their plate. PROJ has the way between the frames, and from them to most systems that are fixed to a plate; for
-those that it takes for equal to a frame of the world, a table here has frame, epoch and plate.
+those that it takes for equal to a frame of the world, `realizations.toml` has frame, epoch and plate.
 """
 
 import difflib
 import math
 import re
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from importlib import resources
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,16 +27,7 @@ if TYPE_CHECKING:
 # The frame that every way goes through; its plate model is that of Altamimi et al. (2023,
 # doi:10.1029/2023GL106373), with the rate of its origin, as PROJ ships it.
 _HUB, _PLATES = "ITRF2020", "ITRF2020"
-# What services write, and PROJ does not have; frames of the IGS are those of ITRF to some millimetres.
-_ALIKE = {"igb20": "igs20", "sirgas": "sirgas2000"}
-_OF_IGS = {
-    "IGS20": "ITRF2020",
-    "IGb14": "ITRF2014",
-    "IGS14": "ITRF2014",
-    "IGb08": "ITRF2008",
-    "IGS08": "ITRF2008",
-    "IGS05": "ITRF2005",
-}
+_KNOWN = tomllib.loads(resources.files("photocal.geometry").joinpath("realizations.toml").read_text("utf-8"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,14 +63,9 @@ class Realization:
         return _is_dynamic(self.frame)
 
 
-# National systems that are a frame of the world, stopped at an epoch: that frame, and the plate that the
-# ground has moved with since, as PROJ calls it. Sources: IBGE, R.PR 1/2005; IBGE, SIRGAS final report 1997;
-# SGM Uruguay, densification of SIRGAS95; INEGI, technical norm of 23 December 2010.
+# National systems that are a frame of the world, stopped at an epoch: that frame, and the plate since.
 FIXED: Mapping[str, tuple[Realization, str]] = {
-    "SIRGAS 2000": (Realization("ITRF2000", 2000.4), "SOAM"),
-    "SIRGAS 1995": (Realization("ITRF94", 1995.4), "SOAM"),
-    "SIRGAS-ROU98": (Realization("ITRF94", 1995.4), "SOAM"),
-    "Mexico ITRF2008": (Realization("ITRF2008", 2010.0), "NOAM"),
+    name: (Realization(one["frame"], one["epoch"]), one["plate"]) for name, one in _KNOWN["fixed"].items()
 }
 
 
@@ -223,7 +211,8 @@ def _between_frames(
 
 
 def _of_itrf(frame: str) -> str:
-    return _OF_IGS.get(frame, frame)
+    known: dict[str, str] = _KNOWN["of_igs"]
+    return known.get(frame, frame)
 
 
 def _plain(name: str) -> str:
@@ -232,7 +221,8 @@ def _plain(name: str) -> str:
     short = re.fullmatch(r"(itrf|etrf)(\d\d)", plain)
     if short is not None and int(short[2]) < 80:
         plain = f"{short[1]}20{short[2]}"
-    return _ALIKE.get(plain, plain)
+    alike: dict[str, str] = _KNOWN["alike"]
+    return alike.get(plain, plain)
 
 
 @cache

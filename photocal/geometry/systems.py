@@ -6,12 +6,14 @@ Geoid and datum grids of PROJ: which are here, which a reference system needs, a
 import os
 import re
 import sqlite3
+import tomllib
 import unicodedata
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,23 +29,9 @@ if TYPE_CHECKING:
 # Systems that are offered where a name leaves more than one.
 MOST = 5
 # What national systems are called at home, in the words of the register.
-_AT_HOME = {
-    "puwg": "pl",
-    "uklad": "pl",
-    "gauss boaga": "monte mario italy zone",
-    "gaussboaga": "monte mario italy zone",
-    "rdnew": "rd new",
-    "rijksdriehoek": "rd new",
-    "bng": "british national grid",
-    "eov": "hd 72 eov",
-    "gk": "gauss kruger",
-    "polska": "poland",
-    "brasil": "brazil",
-    "deutschland": "germany",
-    "italia": "italy",
-    "espana": "spain",
-    "osterreich": "austria",
-}
+_AT_HOME: dict[str, str] = tomllib.loads(
+    resources.files("photocal.geometry").joinpath("systems.toml").read_text("utf-8")
+)["at_home"]
 # Words that say nothing of which system it is.
 _EMPTY = {"zone", "fuso", "huso", "zona", "crs", "coordinate", "system", "the", "of", "and", "e", "de"}
 _WORDS = re.compile(r"[a-z]+|\d+")

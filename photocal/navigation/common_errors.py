@@ -12,7 +12,7 @@ from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.errors import ConfigurationError
 from photocal.base.geodesy import geodetic
 from photocal.block.project import AirAtBase
-from photocal.findings.texts import Catalogue, catalogue
+from photocal.findings.texts import Catalogue
 from photocal.navigation.engine import (
     PER_METRE,
     SatelliteResiduals,
@@ -232,9 +232,8 @@ def day_of_year(time: GpsTime) -> float:
     return float((moment - moment.astype("datetime64[Y]")) / np.timedelta64(1, "D")) + 1
 
 
-def common_text(figures: dict[str, Any], say: Catalogue | None = None) -> list[str]:
-    """Return what `CommonErrors.as_json` gave in words, in English when no language is given."""
-    say = say or catalogue("en")
+def common_text(figures: dict[str, Any], say: Catalogue) -> list[str]:
+    """Return what `CommonErrors.as_json` gave in words."""
     lasts = figures["correlation_time_s"]
     told = {
         "sigma": " ".join(say.fixed(v, 3) for v in figures["shift_sigma_m"]),

@@ -61,11 +61,6 @@ class EngineSolution(Geodetic):
     def __len__(self) -> int:
         return len(self.time)
 
-    @property
-    def sigma_m(self) -> Floats:
-        """Standard deviations (n, 3), east, north, up."""
-        return np.asarray(np.sqrt(np.diagonal(self.covariance_m2, axis1=1, axis2=2)))
-
     def at(self, time: GpsTime, tolerance_ns: int = 20_000_000) -> Integers:
         """Return the row for each instant, -1 where there is none."""
         row = nearest(self.time.ns, time.ns)

@@ -19,7 +19,7 @@ from photocal.measurement.listed_positions import (
 from photocal.navigation.events import CameraEventList, Events
 from photocal.navigation.exposures import Exposures
 from photocal.navigation.position_comparison import compare_positions, judge_positions
-from photocal.navigation.ppk_figures import PpkFigures
+from photocal.navigation.ppk_result import PpkFigures
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import CameraOnBody, check_mounting
 from photocal.navigation.time import leap_seconds
@@ -65,9 +65,7 @@ def _listed_events(e: Evidence) -> list[Finding]:
     findings = list(e.listed.findings) if e.listed is not None else []
     told, sigma, lines = None, np.full((len(e.antenna), 3), np.nan), tuple[str, ...]()
     if e.listed is not None:
-        placed = e.listed.placed
-        told, lines = placed.place, e.listed.lines
-        sigma = np.sqrt(np.maximum(np.diagonal(placed.covariance_m2, axis1=1, axis2=2), 0.0))
+        told, sigma, lines = e.listed.placed.place, e.listed.placed.sigma_m, e.listed.lines
     elif e.events.claimed is not None and np.isfinite(e.events.claimed[:, :2]).any():
         told = e.events.claimed[:, :3]
         lines = tuple(f"event {number}" for number in e.events.number.tolist())

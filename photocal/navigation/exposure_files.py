@@ -51,7 +51,7 @@ def _places(run: ExposureRun, minutes: Floats, track: Any, height: Any) -> None:
         near = (since >= minutes[0]) & (since <= minutes[-1])
         height.plot(since[near], t.height_m[near], "-", lw=0.5, color="0.7", zorder=0)
     east, north, _ = p.offsets(origin).T
-    sigma = np.sqrt(np.maximum(p.covariance_m2[:, 2, 2], 0.0))
+    sigma = p.sigma_m[:, 2]
     for status, colour in COLOURS.items():
         mask = rows & (p.status == status)
         if mask.any():
@@ -220,7 +220,7 @@ def write_geo_txt(path: Path, exposures: Exposures, rig: CameraOnBody) -> str:
 
     p = exposures.placed
     angles = angles_of_geo(orientations(exposures, rig)[0])
-    east, north, up = np.sqrt(np.diagonal(p.covariance_m2, axis1=1, axis2=2)).T
+    east, north, up = p.sigma_m.T
     places = np.column_stack([np.round(p.lon_deg, 10), np.round(p.lat_deg, 10), np.round(p.height_m, 4)])
     turned = np.column_stack([np.round(angles, 5), np.round(np.hypot(east, north), 4), np.round(up, 4)])
     # The accuracies follow the angles: without these there is no place for them.

@@ -35,8 +35,8 @@ from photocal.navigation.exposures import Exposures, at_camera, at_events
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.image_checks import TieMatching, check_images, check_oriented, oriented_images
 from photocal.navigation.ppk import solved
-from photocal.navigation.ppk_figures import PpkFigures
 from photocal.navigation.ppk_inputs import Sources
+from photocal.navigation.ppk_result import PpkFigures
 from photocal.navigation.receiver_recording import ReceiverRecording, read_receivers
 from photocal.navigation.rig import CameraOnBody, rig_of_mounting
 from photocal.navigation.time import HostTime
@@ -109,8 +109,7 @@ def _heights(exposures: Exposures) -> dict[str, Any]:
 
 def _sigmas(exposures: Exposures) -> dict[str, Any]:
     """Return medians of the standard deviations."""
-    covariance = exposures.placed.covariance_m2[exposures.placed.placed]
-    position = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+    position = exposures.placed.sigma_m[exposures.placed.placed]
     angles = np.degrees(exposures.angle_sigma[exposures.attitude.known])
     return {"position_enu_m": _medians(position), "roll_pitch_yaw_deg": _medians(angles)}
 

@@ -223,9 +223,8 @@ def _exchanged(model: _Model, sigma: Floats, to_camera: Floats, lever_m: Floats)
             text = tuple(f"{v:+.3f} {name}" for v, name in zip(meant, AXIS_NAMES, strict=True))
             gain = float(size * np.log(rss0 / rss))
             explanations.append(Explanation(AXES, meant - lever_m, np.zeros(3), text, gain, p))
-    # Exchanges that differ only where the lever arm is zero are the same.
-    explanations.sort(key=lambda e: -e.gain)
-    return explanations[:1]
+    # Exchanges that differ only where the lever arm is zero are the same: the first of them counts.
+    return [max(explanations, key=lambda e: e.gain)] if explanations else []
 
 
 def _detectable(model: _Model, sigma: Floats, place: int) -> float:

@@ -1,7 +1,7 @@
 """A PPK run: its trajectory, and what a person judges it by: figures, sentences and a plot."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from photocal.base.arrays import Floats, as_plain, picked
+from photocal.base.codec import object_of, parsed_json
 from photocal.base.files import output_folder, output_picture, write_json
 from photocal.base.geodesy import geodetic
 from photocal.findings.finding import Finding
@@ -17,10 +18,12 @@ from photocal.navigation.base_frame import BaseFrame
 from photocal.navigation.common_errors import CommonErrors, common_text
 from photocal.navigation.engine import ENGINE, FIXED, EngineSolution, Mode, ProcessingOptions
 from photocal.navigation.fix_validation import ValidatedFixes
-from photocal.navigation.ppk_figures import FIGURES
 from photocal.navigation.ppk_inputs import Inputs
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory, write_trajectory
+
+FIGURES = "ppk.json"
+_REMEDY = "compute the PPK again"
 
 
 @dataclass(frozen=True, repr=False)
@@ -65,7 +68,7 @@ class Ppk:
 
     def __repr__(self) -> str:
         """Say what `photocal ppk` prints."""
-        return ppk_text(self.figures)
+        return ppk_text(self.figures, catalogue("en"))
 
     def write(self, folder: str | Path) -> None:
         """Write `trajectory.csv`, `ppk.json` and `ppk.png` into a folder that is made.
@@ -77,6 +80,37 @@ class Ppk:
         """
         with output_folder(Path(folder)) as aside:
             write_ppk(aside, self)
+
+
+@dataclass(frozen=True)
+class BaseFigures:
+    """Of the base: by how much its position lies above that of its own code solution, m."""
+
+    up_off_code_solution_m: float | None = None
+
+
+@dataclass(frozen=True)
+class PpkFigures:
+    """What later steps take from the figures of a PPK run.
+
+    common: errors that all positions share; None of a rover that stood still.
+    record: all figures, as in `ppk.json`.
+    """
+
+    fixed_percent: float
+    base: BaseFigures = BaseFigures()
+    common: CommonErrors | None = None
+    record: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, record: dict[str, Any], where: object = FIGURES) -> "PpkFigures":
+        """Take them from a record; InputMalformedError for one that lacks something."""
+        return object_of(cls, {**record, "record": record}, where, _REMEDY)
+
+    @classmethod
+    def read(cls, path: Path) -> "PpkFigures":
+        """Read `ppk.json`; errors as of `photocal.base.codec.parsed_json` and `of`."""
+        return cls.of(object_of(dict[str, Any], parsed_json(path, _REMEDY), path, _REMEDY), path)
 
 
 def write_ppk(folder: Path, made: Ppk) -> None:
@@ -221,9 +255,8 @@ def _rms(values: Floats) -> Floats | None:
     return np.sqrt(np.mean(values**2, axis=0)) if len(values) else None
 
 
-def ppk_text(figures: dict[str, Any], say: Catalogue | None = None) -> str:
-    """Return the summary in words, in English when no language is given."""
-    say = say or catalogue("en")
+def ppk_text(figures: dict[str, Any], say: Catalogue) -> str:
+    """Return the summary in words."""
     base, options = figures["base"], figures["options"]
     method = {key: options[key] for key in ("systems", "frequencies")}
     method |= {"mode": figures["mode"], "engine": figures["engine"]}

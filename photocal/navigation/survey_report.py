@@ -11,7 +11,7 @@ from photocal.base.ellipses import ellipses
 from photocal.base.files import write_rows
 from photocal.base.geodesy import geodetic
 from photocal.base.policy import policy
-from photocal.findings.texts import Catalogue, catalogue
+from photocal.findings.texts import Catalogue
 from photocal.geometry.frames import combined_factor, has_scale
 from photocal.navigation.baseline_network import NetworkSolution
 from photocal.navigation.exposure_files import in_frame
@@ -100,9 +100,8 @@ def write_points(path: Path, solution: NetworkSolution, crs: str | None) -> dict
     return frame
 
 
-def survey_text(figures: dict[str, Any], say: Catalogue | None = None) -> str:
-    """Return the summary in words, in English when no language is given."""
-    say = say or catalogue("en")
+def survey_text(figures: dict[str, Any], say: Catalogue) -> str:
+    """Return the summary in words."""
     lines = [say("surveyed.head", marks=len(figures["marks"]), sessions=len(figures["sessions"]))]
     for s in figures["sessions"]:
         ends = (

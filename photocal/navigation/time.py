@@ -39,14 +39,6 @@ class Instants:
     def __getitem__(self, rows: Any) -> Self:
         return type(self)(self.ns[rows])
 
-    def __sub__(self, other: Self) -> Integers:
-        """Return how long after `other` these instants are, nanoseconds."""
-        if type(other) is not type(self):
-            raise TypeError(
-                f"{type(self).__name__} and {type(other).__name__} are different clocks: convert first"
-            )
-        return self.ns - other.ns
-
     def shifted(self, duration_ns: ArrayLike) -> Self:
         """Return the instants later by whole nanoseconds."""
         duration = np.asarray(duration_ns)

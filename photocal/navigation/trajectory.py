@@ -20,11 +20,21 @@ LARGEST_GAP_S = 1.5
 
 
 class Geodetic(TableColumns, Columns):
-    """Columns of which three are positions on WGS 84: latitude, longitude, ellipsoidal height."""
+    """Columns of which three are positions on WGS 84: latitude, longitude, ellipsoidal height.
+
+    covariance_m2 (n, 3, 3): east, north, up.
+    """
 
     lat_deg: Floats
     lon_deg: Floats
     height_m: Floats
+    covariance_m2: Floats
+
+    @property
+    def sigma_m(self) -> Floats:
+        """Standard deviations (n, 3), east, north, up; NaN where unknown."""
+        variance = np.diagonal(self.covariance_m2, axis1=1, axis2=2)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     @property
     def xyz_m(self) -> Floats:

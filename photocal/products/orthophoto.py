@@ -51,14 +51,11 @@ def footprints(shots: OrientedImages, frame: LocalFrame, height: float) -> Bound
     """Rectangle around what the images show at one height, in the terrain's coordinates."""
     given = frame.to_given(shots.station)
     nadir = frame.to_local(np.column_stack([given[:, :2], np.full(len(given), height)]))
-    borders = shots.directions(border(16))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        steps = (nadir[:, None, 2] - shots.station[:, None, 2]) / borders[..., 2]
-        points = shots.station[:, None, :] + steps[..., None] * borders
-    downward = ((borders[..., 2] < 0) & (steps > 0)).all(axis=1)
+    points = shots.on_level(border(16), nadir[:, 2])
+    shown = points[np.isfinite(points).all(axis=(1, 2))]
     corners = [given[:, :2]]
-    if downward.any():
-        corners.append(frame.to_given(points[downward].reshape(-1, 3))[:, :2])
+    if len(shown):
+        corners.append(frame.to_given(shown.reshape(-1, 3))[:, :2])
     reach = np.vstack(corners)
     west, south = np.nanmin(reach, axis=0)
     east, north = np.nanmax(reach, axis=0)

@@ -12,8 +12,8 @@ from photocal.block.project import Project
 from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.exposure_files import with_images
 from photocal.navigation.exposures import Exposures
-from photocal.navigation.ppk_figures import FIGURES as PPK_FIGURES
-from photocal.navigation.ppk_figures import PpkFigures
+from photocal.navigation.ppk_result import FIGURES as PPK_FIGURES
+from photocal.navigation.ppk_result import PpkFigures
 from photocal.run.ppk import TRAJECTORY, ppk_stage
 from photocal.run.stage import Stage, pictures_of
 

@@ -29,8 +29,8 @@ from photocal.geometry.camera import PARAMETERS
 from photocal.hypotheses.faults import FAULTS, fault, searched
 from photocal.hypotheses.table import Fault
 from photocal.measurement.maker_camera import tag_finding
-from photocal.navigation.ppk_figures import FIGURES as PPK
-from photocal.navigation.ppk_figures import PpkFigures
+from photocal.navigation.ppk_result import FIGURES as PPK
+from photocal.navigation.ppk_result import PpkFigures
 from photocal.report.certificate import judged, tested
 from photocal.report.stored_analysis import AnalysedRun, read_run
 from photocal.run.block import FINDINGS as BLOCK

@@ -175,7 +175,7 @@ def with_positions(facts: Sequence[ImageFacts], exposures: Exposures) -> list[Im
     """Pictures with the positions of their exposures in place of those that they state."""
     row = {name: k for k, names in enumerate(exposures.images) for name in names}
     placed, with_place = exposures.placed, []
-    sigma = np.sqrt(np.maximum(np.diagonal(placed.covariance_m2, axis1=1, axis2=2), 0.0))
+    sigma = placed.sigma_m
     for image in facts:
         k = row.get(image.name)
         if k is not None and placed.placed[k]:

@@ -16,7 +16,7 @@ from photocal.navigation.events import Events
 from photocal.navigation.exposure_checks import Evidence, check_exposures
 from photocal.navigation.exposures import Exposures, at_camera, at_events
 from photocal.navigation.position_comparison import judge_positions
-from photocal.navigation.ppk_figures import BaseFigures, PpkFigures
+from photocal.navigation.ppk_result import BaseFigures, PpkFigures
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import CameraOnBody
 from photocal.navigation.time import GpsTime, HostTime

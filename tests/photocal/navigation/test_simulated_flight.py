@@ -21,7 +21,7 @@ from photocal.navigation.exposure_run import (
     place_exposures,
     run_exposures,
 )
-from photocal.navigation.ppk_figures import PpkFigures
+from photocal.navigation.ppk_result import PpkFigures
 from tests.conftest import needs_engine
 from tests.photocal.findings.english import english
 from tests.simulated import FLIGHT, fly
