@@ -20,6 +20,7 @@ import numpy as np
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.base.geodesy import enu_axes, geodetic
+from photocal.geometry.frames import system_of
 
 if TYPE_CHECKING:
     from pyproj import Transformer
@@ -30,32 +31,20 @@ _HUB, _PLATES = "ITRF2020", "ITRF2020"
 _KNOWN = tomllib.loads(resources.files("photocal.geometry").joinpath("realizations.toml").read_text("utf-8"))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Realization:
     """A frame with the epoch of its coordinates.
 
     frame: as PROJ calls it, "IGS20", "SIRGAS 2000".
-    epoch: years; NaN for what is fixed to a plate, and where it is unknown.
+    epoch: years; None for what is fixed to a plate, and where it is unknown.
     """
 
     frame: str
-    epoch: float = math.nan
-
-    @property
-    def _told(self) -> tuple[str, float | None]:
-        return self.frame, None if math.isnan(self.epoch) else self.epoch
-
-    def __eq__(self, other: object) -> bool:
-        """Whether frame and epoch are the same; two unknown epochs are."""
-        return isinstance(other, Realization) and self._told == other._told
-
-    def __hash__(self) -> int:
-        """Hash of both."""
-        return hash(self._told)
+    epoch: float | None = None
 
     def __str__(self) -> str:
         epoch = FIXED[self.frame][0].epoch if self.frame in FIXED else self.epoch
-        return self.frame + ("" if math.isnan(epoch) else f", epoch {epoch:.10g}")
+        return self.frame + ("" if epoch is None else f", epoch {epoch:.10g}")
 
     @property
     def moves(self) -> bool:
@@ -134,25 +123,21 @@ def realization(text: str) -> Realization:
     return Realization(found.frame, year)
 
 
-def known_realization(name: str, epoch: float = math.nan) -> Realization | None:
+def known_realization(name: str, epoch: float | None = None) -> Realization | None:
     """Realization of a frame by its name, or of a coordinate system by its code; None for others.
 
     WGS 84 and NAD83 without a version are of unknown realization.
     """
-    from pyproj import CRS
     from pyproj.exceptions import CRSError
 
-    plain = _plain(name)
-    if plain in _frames():
-        return Realization(_frames()[plain], epoch)
-    if ":" not in name:
-        return None
-    try:
-        geodetic_system = CRS.from_user_input(name).geodetic_crs
-    except CRSError:
-        return None
-    plain = _plain("" if geodetic_system is None else geodetic_system.name)
-    return Realization(_frames()[plain], epoch) if plain in _frames() else None
+    frame = _frames().get(_plain(name))
+    if frame is None and ":" in name:
+        try:
+            geodetic_system = system_of(name).geodetic_crs
+        except CRSError:
+            return None
+        frame = None if geodetic_system is None else _frames().get(_plain(geodetic_system.name))
+    return None if frame is None else Realization(frame, epoch)
 
 
 def frame_shift(place_m: Floats, source: Realization, target: Realization) -> FrameShift | None:
@@ -168,7 +153,7 @@ def frame_shift(place_m: Floats, source: Realization, target: Realization) -> Fr
     first = start.epoch if start.moves else end.epoch
     last = end.epoch if end.moves else first
     plate = there or here
-    if math.isnan(first) or math.isnan(last) or (first != last and plate is None):
+    if first is None or last is None or (first != last and plate is None):
         return None
     place = np.asarray(place_m, np.float64)
     between = _between_frames(_of_itrf(start.frame), _HUB, place, first)
@@ -249,9 +234,7 @@ def _code(frame: str) -> str:
 
 @cache
 def _is_dynamic(frame: str) -> bool:
-    from pyproj import CRS
-
-    datum = CRS.from_user_input(_code(frame)).to_json_dict().get("datum", {})
+    datum = system_of(_code(frame)).to_json_dict().get("datum", {})
     return bool(datum.get("type") == "DynamicGeodeticReferenceFrame")
 
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, OutputError
+from photocal.geometry.frames import system_of
 
 if TYPE_CHECKING:
     from pyproj.transformer import TransformerGroup
@@ -110,9 +111,7 @@ def at_place(latitude: float, longitude: float, places: Floats, most: int = MOST
 
 def exchanged_in(crs: str, places: Floats) -> bool:
     """Whether places (n, 2) lie in the area of use of a map system only with east and north exchanged."""
-    from pyproj import CRS
-
-    if crs in ("", "local") or not CRS.from_user_input(crs).is_projected:
+    if crs in ("", "local") or not system_of(crs).is_projected:
         return False
     known = places[np.isfinite(places).all(axis=1)]
     way, outside = _to_degrees(crs), list[bool]()
@@ -154,9 +153,7 @@ def _to_degrees(code: str) -> Any:
 
 def degrees_outside(crs: str, latitude: Floats, longitude: Floats) -> Floats:
     """By how many degrees places lie outside the area of use of a system; 0 inside, and where it has none."""
-    from pyproj import CRS
-
-    area = CRS.from_user_input(crs).area_of_use
+    area = system_of(crs).area_of_use
     if area is None:
         return np.zeros(len(latitude))
     beside = np.maximum(np.maximum(area.south - latitude, latitude - area.north), 0.0)

@@ -511,7 +511,7 @@ def frames_of(frame: str, crs: str) -> tuple[Realization, Realization]:
     raises ConfigurationError: for an unknown frame or one without its epoch, and for a system of none.
     """
     source, target = realization(frame), known_realization(crs)
-    if source.moves and np.isnan(source.epoch):
+    if source.moves and source.epoch is None:
         raise ConfigurationError(
             f"positions in {source.frame} change with time and need an epoch",
             f'write "{source.frame}@2026.9" with the epoch of the flight in years',

@@ -1,6 +1,5 @@
 """Frame and epoch of a base beside those of the control: the shift between them, and its application."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Self
@@ -30,18 +29,18 @@ class BaseFrame:
     shift: FrameShift | None = None
 
     @classmethod
-    def of(cls, base_m: Floats, source: Realization | None, crs: str | None, today: float) -> Self:
+    def of(cls, base_m: Floats, source: Realization | None, crs: str | None, today: float | None) -> Self:
         """Compare the frame of a base with that of the control.
 
         base_m (3,): earth-centred.
         today: epoch of the observations, years: that of a moving frame that is stated without one.
         """
         target = None if crs in (None, "local") else known_realization(crs or "")
-        if source is not None and source.moves and math.isnan(source.epoch):
+        if source is not None and source.moves and source.epoch is None:
             source = Realization(source.frame, today)
         if target is None:
             return cls(source, None, None)
-        if target.moves and math.isnan(target.epoch):
+        if target.moves and target.epoch is None:
             target = Realization(target.frame, today)
         told = source or Realization(_OF_TODAY, today)
         return cls(source, target, frame_shift(base_m, told, target))

@@ -251,7 +251,6 @@ class ExposureRun:
     exposures: Exposures
     trajectory: Trajectory | None
     cameras: list[Matching]
-    images: list[ImageMetadata]
     checks: list[Finding]
     figures: dict[str, Any]
 
@@ -383,7 +382,7 @@ def _judged(
         seen = {check.code for check in checks if check.severity != "untested"}
         checks = [c for c in checks if c.severity != "untested" or c.code not in seen]
     figures = exposure_figures(exposures, evidence.events, cameras, clocks, checks, ppk)
-    return ExposureRun(evidence.antenna, exposures, evidence.trajectory, cameras, images, checks, figures)
+    return ExposureRun(evidence.antenna, exposures, evidence.trajectory, cameras, checks, figures)
 
 
 def _receiver_clock(rover: ReceiverRecording | None) -> ComparedClocks | None:

@@ -117,7 +117,7 @@ class PreciseResult:
 
     position_m (3,), covariance_m2 (3, 3): X, Y, Z.
     frame: as the service names it, "IGS20"; empty where it does not.
-    epoch: of the coordinates, years; NaN where not stated.
+    epoch: of the coordinates, years.
     """
 
     position_m: Floats
@@ -139,8 +139,7 @@ class PreciseResult:
     @property
     def description(self) -> str:
         """Frame and epoch for a person."""
-        epoch = "" if np.isnan(self.epoch) else f", epoch {self.epoch:.4f}"
-        return f" ({self.frame or 'frame not stated'}{epoch})"
+        return f" ({self.frame or 'frame not stated'}, epoch {self.epoch:.4f})"
 
 
 def read_precise_result(path: Path, site: str = "", name: str = "") -> PreciseResult:

@@ -5,7 +5,6 @@ The set-up file of a control survey: marks, sessions, how long and how they are 
 Marks of a survey in the frame and epoch of its system.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -45,7 +44,7 @@ from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory
 
 
-def frame_told(mark: str, text: str, epoch: float = math.nan) -> Realization | None:
+def frame_told(mark: str, text: str, epoch: float | None = None) -> Realization | None:
     """Frame of a known mark as a person tells it; None for none.
 
     epoch: of its coordinates where the text has none, years.
@@ -53,9 +52,9 @@ def frame_told(mark: str, text: str, epoch: float = math.nan) -> Realization | N
     raises ConfigurationError: for one that is not known; InputMalformedError: for one whose epoch is missing.
     """
     told = realization(text) if text else None
-    if told is not None and told.moves and np.isnan(told.epoch):
+    if told is not None and told.moves and told.epoch is None:
         told = known_realization(told.frame, epoch) or told
-    if told is not None and told.moves and np.isnan(told.epoch):
+    if told is not None and told.moves and told.epoch is None:
         raise InputMalformedError(
             f"mark {mark}: coordinates in {told.frame} change with time and need an epoch",
             f'write frame = "{told.frame}@2026.9" with the epoch in years',

@@ -17,6 +17,7 @@ from photocal.base.files import output_file, refusals
 from photocal.base.geopackage import changed_utc
 from photocal.base.operating_system import replace
 from photocal.findings.texts import Catalogue, catalogue
+from photocal.geometry.frames import system_of
 from photocal.products.options import ContourOptions
 from photocal.products.raster import describe, system_wkt, terrain_source
 from photocal.products.terrain import HEIGHT_KINDS, Terrain, grid_of_points, read_terrain_points
@@ -58,7 +59,7 @@ class Contours:
             "highest_m": max(numbers) * self.interval_m,
             "length_m": float(sum(np.hypot(step[:, 0], step[:, 1]).sum() for step in steps)),
             "height_kind": self.height_kind,
-            "crs": _name(self.crs) or None,
+            "crs": str(system_of(self.crs).name) if self.crs else None,
         }
 
     def __repr__(self) -> str:
@@ -193,9 +194,7 @@ def _write(made: Contours, changed: str) -> None:
         aside = Path(folder) / path.name
         _write_lines(made, aside, changed)
         if path.suffix.lower() == ".dxf" and made.crs:
-            from pyproj import CRS
-
-            aside.with_suffix(".prj").write_text(CRS.from_wkt(made.crs).to_wkt("WKT1_ESRI"), encoding="utf-8")
+            aside.with_suffix(".prj").write_text(system_of(made.crs).to_wkt("WKT1_ESRI"), encoding="utf-8")
         for part in sorted(Path(folder).iterdir()):
             replace(part, whole if part == aside else path.parent / part.name)
 
@@ -248,10 +247,3 @@ def _wkb(line: Contour, interval: float) -> bytes:
     number, xy = line
     xyz = np.column_stack([xy, np.full(len(xy), number * interval)])
     return b"\x01" + np.array([1002, len(xyz)], "<u4").tobytes() + xyz.astype("<f8").tobytes()
-
-
-def _name(crs: str) -> str:
-    """Give the name of a reference system (WKT); empty for none."""
-    from pyproj import CRS
-
-    return str(CRS.from_wkt(crs).name) if crs else ""

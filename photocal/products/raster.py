@@ -105,9 +105,7 @@ def _height_kind(source: Any) -> str:
     if tag in HEIGHT_KINDS:
         return tag
     if source.crs:
-        from pyproj import CRS
-
-        system = CRS.from_wkt(source.crs.to_wkt())
+        system = system_of(source.crs.to_wkt())
         if system.is_compound:
             return "orthometric"
         if len(system.axis_info) == 3:

@@ -28,7 +28,7 @@ from photocal.block.network import NetworkOfBlock, assemble, observed_plane
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.distortion import slopes_of
-from photocal.geometry.frames import combined_factor
+from photocal.geometry.frames import combined_factor, system_of
 from photocal.geometry.resection import intersect
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.hypotheses.causes import coarsely_placed, of_rays, points_of
@@ -241,11 +241,10 @@ def ground_findings(block: Block) -> tuple[Finding, ...]:
     listed += ground_points.control_in_few_images(check.names, pairs, "check")
     if not len(ground.names):
         return tuple(listed)
-    from pyproj import CRS
     from pyproj.exceptions import CRSError
 
     try:
-        system = None if block.frame == "local" else CRS.from_user_input(block.frame)
+        system = None if block.frame == "local" else system_of(block.frame)
     except CRSError:
         return (*listed, Finding("unknown-frame", "grave", block.frame))
     place = _place_findings(block, ground, system)

@@ -27,6 +27,7 @@ from photocal.findings.texts import (
 )
 from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import oriented_images
+from photocal.geometry.rotation import turned_left
 from photocal.geometry.strips import strips
 from photocal.measurement.image_file import list_images
 from photocal.measurement.maker_camera import stated_camera
@@ -84,9 +85,7 @@ def coverage(
     velocity = np.where(np.isfinite(velocity), velocity, beside)
     turn = orientations(exposures, rig)[0][rows].copy()
     # Without attitude the camera looks down, its upper edge ahead.
-    s, c = np.sin(course := np.arctan2(velocity[:, 0], velocity[:, 1])), np.cos(course)
-    level = np.zeros_like(turn)
-    level[:, 0, 0], level[:, 0, 1], level[:, 1, 0], level[:, 1, 1], level[:, 2, 2] = c, -s, s, c, 1.0
+    level = turned_left(-np.arctan2(velocity[:, 0], velocity[:, 1]))
     turn = np.where(np.isfinite(turn), turn, level)
     every = oriented_images((camera,), np.zeros(len(rows)), turn, station)
     strip, good = strips(seconds, velocity)[0], np.flatnonzero(usable[rows])
