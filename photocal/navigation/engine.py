@@ -41,9 +41,8 @@ class EngineSolution(Geodetic):
 
     lat_deg, lon_deg, height_m (n,): geodetic position, ellipsoidal height.
     quality (n,): 1 fixed, 2 float, 5 single, as the engine numbers them.
-    satellites (n,): number used.
     covariance_m2 (n, 3, 3): east, north, up, as the engine claims it.
-    age_s, ratio (n,): age of the base's observations; ratio test.
+    ratio (n,): ratio test.
     velocity_m_s (n, 3): east, north, up; NaN where the engine gave none.
     """
 
@@ -52,9 +51,7 @@ class EngineSolution(Geodetic):
     lon_deg: Floats
     height_m: Floats
     quality: Integers
-    satellites: Integers
     covariance_m2: Floats
-    age_s: Floats
     ratio: Floats
     velocity_m_s: Floats
 
@@ -110,9 +107,7 @@ def read_solution(path: Path) -> EngineSolution:
         table[:, 1],
         table[:, 2],
         quality,
-        table[:, 4].astype(np.int64),
         covariance,
-        table[:, 11],
         table[:, 12],
         velocity[:, [1, 0, 2]],
     )

@@ -32,12 +32,10 @@ class Evidence:
     """What checks may use.
 
     events: those used, with the delay.
-    others: other events of the logs.
     """
 
     rig: CameraOnBody
     events: Events
-    others: list[Events]
     antenna: Exposures
     trajectory: Trajectory | None
     rover: ReceiverRecording | None

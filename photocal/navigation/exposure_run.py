@@ -284,7 +284,7 @@ def place_exposures(
     vehicle = read_vehicle(sources.log, sources.vehicle_link, _receiver_clock(rover)) if sources.log else None
     listed = listed_in(sources.log) if choices.mrk is None else read_mrk(choices.mrk)
     images = [] if choices.images is None else read_images(choices.images)
-    noted, others = events_of(sources, choices.edge, receivers, vehicle)
+    noted = events_of(sources, choices.edge, receivers, vehicle)
     noted = noted if listed is None else listed.events
     if noted is None:
         return _without_events(choices, rover, vehicle, images)
@@ -315,7 +315,7 @@ def place_exposures(
         later = at(events.delayed(rig.time_offset_s, rig.time_offset_sigma_s))
     return _judged(
         choices,
-        Evidence(rig, events, others, antenna, trajectory, rover, vehicle, listed, images, ppk),
+        Evidence(rig, events, antenna, trajectory, rover, vehicle, listed, images, ppk),
         # A list's positions are those of the camera already.
         at_camera(later, rig) if listed is None else later,
         cameras,
@@ -361,7 +361,7 @@ def _without_events(
         flown = attitudes_of_vehicle(track, time, choices.rig)
         names = [(image.name,) for image in images]
         antenna = at_events(events, plainly(track.path, time), flown, sigma, names, SEA_LEVEL)
-    evidence = Evidence(choices.rig, events, [], antenna, None, rover, track, None, images, None)
+    evidence = Evidence(choices.rig, events, antenna, None, rover, track, None, images, None)
     return _judged(choices, evidence, at_camera(antenna, choices.rig), [])
 
 

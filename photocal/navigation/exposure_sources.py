@@ -35,15 +35,14 @@ _LISTED = "MRK"
 
 def events_of(
     sources: Sources, edge: str, receivers: dict[str, ReceiverRecording], vehicle: VehicleTrack | None
-) -> tuple[Events | None, list[Events]]:
-    """Return the best events of the logs, and all others."""
-    best_first = []
+) -> Events | None:
+    """Return the best events of the logs; None where there are none."""
     rover = receivers.get(sources.rover_link)
     if rover is not None:
         before, source = rover.epochs_before_marks(), rover.mark_source
         marks = time_marks(rover.marks(), edge, rover.link, before, source)
         if len(marks):
-            best_first.append(marks)
+            return marks
     logged = {events.source: events for events in logged_exposures(sources.log)[0] if len(events)}
     clock_sigma_s = 0.0 if vehicle is None else vehicle.clock_sigma_s
     logged = {
@@ -54,8 +53,7 @@ def events_of(
         logged = boot_exposures(sources.log, sources.vehicle_link, vehicle.clocks.clock)
     order = (*_LOGGED, *(name for name in logged if name not in _LOGGED))
     # The whole of an imported event list is read elsewhere.
-    best_first += [logged[source] for source in order if source in logged and source != _LISTED]
-    return (best_first[0], best_first[1:]) if best_first else (None, [])
+    return next((logged[source] for source in order if source in logged and source != _LISTED), None)
 
 
 def placed_by(

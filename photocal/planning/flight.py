@@ -256,7 +256,6 @@ class PlannedFlight:
     strips: in flying order; cross strips last.
     """
 
-    area: Area
     plane: LocalPlane
     corners_m: Floats
     request: FlightRequest
@@ -334,7 +333,7 @@ def plan_flight(area: Area, request: FlightRequest) -> PlannedFlight:
             cross = level_geometry(request, request.second_height_m)
             levels.append(cross)
         strips += _strips(corners, azimuth + math.pi / 2.0, cross, request)
-    return PlannedFlight(area, plane, corners, request, azimuth, tuple(levels), strips)
+    return PlannedFlight(plane, corners, request, azimuth, tuple(levels), strips)
 
 
 def _strips(

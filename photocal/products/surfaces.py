@@ -18,13 +18,11 @@ class AdjustedSurface:
 
     state: parameters of the surface, in its own order.
     covariance (u, u): of the steps of the parameters, with the a priori variance factor 1.
-    residuals (n, d): adjusted minus measured, m.
     influence (u, n, d): derivative of the parameters to each coordinate of each point.
     """
 
     state: Floats
     covariance: Floats
-    residuals: Floats
     influence: Floats
     chi_squared: float
     degrees_of_freedom: int
@@ -75,7 +73,7 @@ def fit(
         if settled.all() and (moved_points <= 10 * negligible * np.sqrt(variance)).all():
             influence = -np.einsum("uv,nv,ni->uni", cofactor, by_parameter / variance[:, None], by_point)
             chi_squared = float(correlate**2 @ variance)
-            return AdjustedSurface(state, cofactor, residuals, influence, chi_squared, count - unknowns)
+            return AdjustedSurface(state, cofactor, influence, chi_squared, count - unknowns)
     raise NotConvergedError(
         f"the fit of the {what} did not converge within {iterations} iterations",
         "are the points on such a surface, and their sigmas in metres?",
@@ -116,18 +114,15 @@ class Cylinder:
 
     point (3,): point of the axis beside the centroid of the measured points, m.
     axis (3,): unit vector; the largest of its components is positive.
-    point_covariance, axis_covariance (3, 3): A priori; singular along the axis.
+    axis_covariance (3, 3): a priori; singular along the axis.
     radius_sigma: m, a priori.
-    radial (n,): distance of each measured point from the cylinder, outwards positive, m.
     """
 
     point: Floats
     axis: Floats
     radius: float
-    point_covariance: Floats
     axis_covariance: Floats
     radius_sigma: float
-    radial: Floats
     adjusted: AdjustedSurface
 
 
@@ -155,10 +150,8 @@ def fit_cylinder(points: Floats, covariance: Floats) -> Cylinder:
         point - (point @ axis) * axis + middle,
         np.asarray(axis * np.sign(axis[int(np.argmax(np.abs(axis)))])),
         radius,
-        basis.T @ covariances[:2, :2] @ basis,
         basis.T @ covariances[2:4, 2:4] @ basis,
         float(np.sqrt(covariances[4, 4])),
-        _radii(local, point, axis)[0] - radius,
         fitted,
     )
 

@@ -106,7 +106,7 @@ from photocal.navigation.receiver_recording import read_receivers
 log = FlightLog((Path(sys.argv[1]),))
 toy = receiver_wires()[-1]
 print(sum(len(part.payloads) for _, part in log.raw(toy)))
-best, _ = events_of(Sources(log), "rising", read_receivers(log), None)
+best = events_of(Sources(log), "rising", read_receivers(log), None)
 print(best.source, *best.time.ns.tolist())
 """
 

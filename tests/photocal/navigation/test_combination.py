@@ -21,7 +21,7 @@ def solution(north_m: list[float], quality: list[int], sigma_m: float) -> Engine
     covariance = np.tile(np.eye(3) * sigma_m**2, (n, 1, 1))
     return EngineSolution(
         time, -25.4 + np.array(north_m) * METRE_N, -49.2 * one, 900.0 * one, np.array(quality),
-        np.full(n, 9), covariance, 0 * one, 9 * one, np.full((n, 3), np.nan),
+        covariance, 9 * one, np.full((n, 3), np.nan),
     )  # fmt: skip
 
 

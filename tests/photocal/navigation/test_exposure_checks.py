@@ -183,7 +183,7 @@ def evidence(path: Trajectory, late_s: float = 0.0, **changed: object) -> Eviden
     vehicle = VehicleTrack(path_of_vehicle, HostTime(late.ns), None)
     rover = ReceiverRecording("rover", geoid_m=[GEOID + 0.7])
     ppk = PpkFigures(100.0, BaseFigures(1.0))
-    made = Evidence(CameraOnBody(), events, [], exposures, path, rover, vehicle, None, [], ppk)
+    made = Evidence(CameraOnBody(), events, exposures, path, rover, vehicle, None, [], ppk)
     return replace(made, **changed)  # type: ignore[arg-type]
 
 

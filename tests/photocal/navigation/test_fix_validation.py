@@ -22,9 +22,7 @@ def still(interval_s: float, epochs: int, quality: int) -> EngineSolution:
         9.0 + scatter[:, 0] / 78_850,
         100.0 + scatter[:, 2],
         np.full(epochs, quality, dtype=np.int64),
-        np.full(epochs, 9, dtype=np.int64),
         np.broadcast_to(np.eye(3) * 0.005**2, (epochs, 3, 3)).copy(),
-        np.zeros(epochs),
         np.full(epochs, 50.0),
         np.zeros((epochs, 3)),
     )

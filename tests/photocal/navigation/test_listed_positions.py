@@ -388,7 +388,7 @@ def test_positions_that_an_autopilot_tells_are_judged_too() -> None:
 
     def codes(told: Floats) -> list[tuple[str, tuple[str, ...]]]:
         given = replace(events, source="CAM", claimed=told)
-        evidence = Evidence(CameraOnBody(), given, [], antenna, path, None, None, None, [], None)
+        evidence = Evidence(CameraOnBody(), given, antenna, path, None, None, None, [], None)
         return [
             (f.code, f.figures["lines"]) for f in check_exposures(evidence) if f.code.startswith("events-")
         ]

@@ -147,7 +147,7 @@ def test_exposures_by_boot_time_alone_are_placed(recording: Recording) -> None:
     assert np.abs(error).max() < 0.03
     assert error.std() < 0.002
     assert made.accuracy_s == pytest.approx(0.03, abs=0.005)
-    best, _ = events_of(Sources(FlightLog((recording.log,)), vehicle_link="vehicle"), "rising", {}, track)
+    best = events_of(Sources(FlightLog((recording.log,)), vehicle_link="vehicle"), "rising", {}, track)
     assert best is not None
     assert best.time == made.time
     assert "TIMESYNC" in " ".join(best.remarks)
