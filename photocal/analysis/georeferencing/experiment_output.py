@@ -31,7 +31,7 @@ from photocal.analysis.georeferencing.prior_sigma import (
     support_table,
 )
 from photocal.base.arrays import as_plain, picked
-from photocal.base.files import output_folder, rows_text, write_json
+from photocal.base.files import output_folder, write_json, write_rows
 from photocal.findings.document import Section, table, text
 from photocal.findings.texts import Catalogue
 
@@ -168,25 +168,23 @@ def _left_cells(case: WithoutControlPoint) -> list[str]:
     return [*_cells(case.d, "+.4f"), *_cells(case.w, ".2f"), ""]
 
 
-def write_experiment(outcome: ExperimentOutcome, folder: Path) -> tuple[str, ...]:
+def write_experiment(outcome: ExperimentOutcome, folder: Path) -> None:
     """Write the results of an experiment; raises OutputError when the folder cannot be written."""
-    texts = {"runs.csv": _csv([_flat(run) for run in outcome.runs])} if outcome.runs else {}
-    if outcome.supports:
-        texts["supports.csv"] = _csv(support_rows(outcome.supports))
-    if outcome.priors:
-        texts["priors.csv"] = _csv(prior_rows(outcome.priors))
-    if outcome.pairs:
-        texts["pairs.csv"] = _csv([_pair(pair) for pair in outcome.pairs])
-    if outcome.left_out:
-        texts["leave_one_out.csv"] = _csv([_left(case) for case in outcome.left_out])
+    tables = {
+        "runs.csv": [_flat(run) for run in outcome.runs],
+        "supports.csv": support_rows(outcome.supports),
+        "priors.csv": prior_rows(outcome.priors),
+        "pairs.csv": [_pair(pair) for pair in outcome.pairs],
+        "leave_one_out.csv": [_left(case) for case in outcome.left_out],
+    }
     with output_folder(folder) as aside:
         write_json(aside / "experiment.json", to_json(outcome))
-        for name, text in texts.items():
-            (aside / name).write_text(text, encoding="utf-8")
+        for name, rows in tables.items():
+            if rows:
+                write_rows(aside / name, list(rows[0]), [list(as_plain(row).values()) for row in rows])
         drawn = {"rmse.pdf": rmse_plot(outcome), "rmse_by_control.pdf": control_plot(outcome)}
         drawn["priors.pdf"] = prior_plot(outcome.priors)
-        figures = save_figures(aside, drawn)
-    return ("experiment.json", *texts, *figures)
+        save_figures(aside, drawn)
 
 
 def _run(run: ExperimentRun) -> dict[str, Any]:
@@ -230,7 +228,3 @@ def _pair(pair: RunPair) -> dict[str, Any]:
 def _left(case: WithoutControlPoint) -> dict[str, Any]:
     figures = _by_axis("d{}_m", case.d) | _by_axis("s{}_m", case.sigma) | _by_axis("w{}", case.w)
     return {**picked(case, "method", "point"), **figures, "failure": case.failure}
-
-
-def _csv(rows: list[dict[str, Any]]) -> str:
-    return rows_text(list(rows[0]), [list(as_plain(row).values()) for row in rows])

@@ -319,7 +319,7 @@ def write_check(
     changed_utc: str,
     given: Verdict | None = None,
     say: Catalogue | None = None,
-) -> tuple[str, ...]:
+) -> None:
     """Write the results of a check.
 
     system: of the block's coordinates, for the GeoPackage.
@@ -334,7 +334,6 @@ def write_check(
     }
     if check.systematic is not None:
         texts["systematic_errors.csv"] = _systematic_csv(check.systematic)
-    names = ["check.json", *texts]
     with output_folder(folder) as aside:
         write_json(aside / "check.json", content)
         for name, text in texts.items():
@@ -344,14 +343,10 @@ def write_check(
             groups = tuple((group.role, group.discrepancies()) for group in judged.differences[::-1])
             if groups:
                 write_geopackage(aside / f"{method}.gpkg", groups, system, changed_utc)
-                names.append(f"{method}.gpkg")
-            if not judged.check.names:
-                continue
-            gsd = judged.assessment.question.gsd_m if judged.assessment else None
-            names += save_figures(
-                aside, check_figures(judged.check.discrepancies(), gsd, words, f"{method}_")
-            )
-    return tuple(names)
+            if judged.check.names:
+                gsd = judged.assessment.question.gsd_m if judged.assessment else None
+                figures = check_figures(judged.check.discrepancies(), gsd, words, f"{method}_")
+                save_figures(aside, figures)
 
 
 def _ground_points(methods: dict[str, Any]) -> str:
