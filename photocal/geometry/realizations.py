@@ -90,13 +90,6 @@ class FrameShift:
             "way": self.way,
         }
 
-    def __str__(self) -> str:
-        east, north, up = self.shift_enu_m
-        return (
-            f"{self.source} and {self.target} are {self.size_m:.3f} m apart there (E {east:+.3f}, "
-            f"N {north:+.3f}, U {up:+.3f} m, sigma {self.sigma_m:.3f} m by {self.way})"
-        )
-
 
 def realization(text: str) -> Realization:
     """Read `FRAME[@EPOCH]`, as "IGS20@2026.9", "SIRGAS2000" or "EPSG:31982".

@@ -88,7 +88,7 @@ def is_meant(text: str, system: MapSystem) -> bool:
     return any(wanted <= _words(name) for name in (system.name, *_aliases().get(system.code, ())))
 
 
-def at_place(latitude: float, longitude: float, places: Floats, most: int = MOST) -> tuple[MapSystem, ...]:
+def at_place(latitude: float, longitude: float, places: Floats) -> tuple[MapSystem, ...]:
     """Map systems in which coordinates, shape (n, 2), lie near a place that is known in degrees."""
     middle, found = np.median(places, axis=0), list[tuple[float, MapSystem]]()
     # How far control may lie from what pictures say of their place, m.
@@ -106,7 +106,7 @@ def at_place(latitude: float, longitude: float, places: Floats, most: int = MOST
         if away <= near_m:
             # Of systems that are all near the smaller area is the likelier.
             found.append(((east - west) * (north - south), system))
-    return tuple(system for _, system in sorted(found, key=lambda one: one[0])[:most])
+    return tuple(system for _, system in sorted(found, key=lambda one: one[0])[:MOST])
 
 
 def exchanged_in(crs: str, places: Floats) -> bool:
@@ -164,7 +164,7 @@ def degrees_outside(crs: str, latitude: Floats, longitude: Floats) -> Floats:
     return np.asarray(np.hypot(beside, aside))
 
 
-def heights_at(latitude: float, longitude: float, most: int = MOST) -> tuple[tuple[str, str], ...]:
+def heights_at(latitude: float, longitude: float) -> tuple[tuple[str, str], ...]:
     """Vertical systems of a place, codes and names: those of the smaller areas first, the world's last."""
     from pyproj.aoi import AreaOfInterest
     from pyproj.database import query_crs_info
@@ -178,7 +178,7 @@ def heights_at(latitude: float, longitude: float, most: int = MOST) -> tuple[tup
     ]
     world = [one for one in found if one[1] in ("5773", "3855")]
     national = sorted(one for one in found if one not in world and one[0] < 10_000)
-    return tuple((code, name) for _, code, name in (*national[: most - len(world)], *world))
+    return tuple((code, name) for _, code, name in (*national[: MOST - len(world)], *world))
 
 
 def _extent(area: Any) -> float:

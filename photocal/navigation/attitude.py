@@ -30,9 +30,6 @@ class AttitudeSeries:
     rate: Floats
     covariance: Floats
 
-    def __len__(self) -> int:
-        return len(self.rotation)
-
     @property
     def known(self) -> Flags:
         """Where there is a rotation."""

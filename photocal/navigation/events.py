@@ -78,7 +78,7 @@ class Events:
         shift = round(delay_s * 1e9)
         return replace(
             self,
-            time=self.time.shifted(np.full(len(self), shift, np.int64)),
+            time=GpsTime(self.time.ns + shift),
             accuracy_s=np.hypot(self.accuracy_s, sigma_s),
             delay_ns=self.delay_ns + shift,
         )

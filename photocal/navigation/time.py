@@ -39,13 +39,6 @@ class Instants:
     def __getitem__(self, rows: Any) -> Self:
         return type(self)(self.ns[rows])
 
-    def shifted(self, duration_ns: ArrayLike) -> Self:
-        """Return the instants later by whole nanoseconds."""
-        duration = np.asarray(duration_ns)
-        if duration.dtype.kind not in "iu":
-            raise TypeError(f"a shift takes whole nanoseconds, not {duration.dtype}")
-        return type(self)(self.ns + duration.astype(np.int64))
-
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             raise TypeError(f"{type(self).__name__} and {type(other).__name__} cannot be compared")

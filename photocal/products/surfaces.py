@@ -53,8 +53,6 @@ def fit(
     for _ in range(iterations):
         value, by_parameter, by_point = condition(state, points + residuals)
         count, unknowns = by_parameter.shape
-        if count < unknowns:
-            raise IllPosedError(f"{count} points do not determine a {what}", f"give at least {unknowns}")
         misclosure = value - np.einsum("ni,ni->n", by_point, residuals)
         variance = np.einsum("ni,nij,nj->n", by_point, covariance, by_point)
         if not (variance > 0).all():

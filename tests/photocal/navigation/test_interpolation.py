@@ -102,7 +102,7 @@ def test_every_edge_is_placed_or_named(moving_run: Run) -> None:
     assert found.placed.sum() >= 530
     assert (found.gap_s[found.placed] <= 1.5).all()
     # 18 s off, as with the wrong time base, the rover is elsewhere: the mistake would show.
-    wrong = interpolate(recorded(moving_run), rising.time.shifted(-18_000_000_000), rising.accuracy_s)
+    wrong = interpolate(recorded(moving_run), GpsTime(rising.time.ns - 18_000_000_000), rising.accuracy_s)
     both = found.placed & wrong.placed
     apart = enu_offsets(found.lat_deg[both], found.lon_deg[both], found.height_m[both], ORIGIN)
     apart = apart - enu_offsets(wrong.lat_deg[both], wrong.lon_deg[both], wrong.height_m[both], ORIGIN)

@@ -21,7 +21,7 @@ from photocal.measurement.position_files import read_positions
 from photocal.navigation.events import CameraEventList, read_mrk
 from photocal.navigation.exposure_checks import Evidence, check_exposures
 from photocal.navigation.rig import CameraOnBody
-from photocal.navigation.time import GpsTime
+from photocal.navigation.time import GpsTime, UtcTime
 from tests.photocal.conftest import Answer
 from tests.photocal.navigation.test_exposure_checks import shots, trajectory
 
@@ -141,7 +141,7 @@ def pictures(
     """Pictures of these exposures with the positions of a receiver, and their time as M4E writes it."""
     folder.mkdir()
     utc_ns = GpsTime.from_week([WEEK] * count, (START_S + TIMES_S[:count]).tolist()).to_utc()
-    for k, stamp in enumerate(utc_ns.shifted(np.full(count, round(late_s * 1e9), np.int64)).iso()):
+    for k, stamp in enumerate(UtcTime(utc_ns.ns + round(late_s * 1e9)).iso()):
         exif = Image.Exif()
         exif[0x010F], exif[0x0110] = "DJI", "M4E"
         # The camera's own clock is eight hours and twenty seconds beside it.
