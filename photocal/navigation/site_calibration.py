@@ -18,7 +18,6 @@ from photocal.navigation.options import SiteOptions
 
 COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "role")
 REPORT, FIGURES = "localisation.md", "localisation.json"
-_SIGMAS = ("sX", "sY", "sZ")
 
 
 @dataclass(frozen=True)
@@ -59,12 +58,9 @@ def read_point_table(path: Path) -> PointTable:
     raises InputMalformedError, InputNotFoundError: as of `read_wider_table`.
     """
     given = read_wider_table(path, COLUMNS[:4])
-    sigma = np.full((len(given), 3), np.nan)
-    for column, name in enumerate(_SIGMAS):
-        if given.has(name):
-            sigma[:, column] = given.numbers(name, empty=np.nan)
+    places, sigma = given.matrix("XYZ", empty=np.nan), given.matrix(("sX", "sY", "sZ"), empty=np.nan)
     role = given.texts("role") if given.has("role") else ("control",) * len(given)
-    return PointTable(given.unique_names("point"), given.matrix("XYZ", empty=np.nan), sigma, role)
+    return PointTable(given.unique_names("point"), places, sigma, role)
 
 
 def calibrate(local: PointTable, mapped: PointTable, options: SiteOptions) -> SiteCalibration:

@@ -26,7 +26,7 @@ from photocal.adjustment.mounting import (
 )
 from photocal.adjustment.readout import READOUT
 from photocal.base.arrays import Flags, Floats, Integers
-from photocal.base.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.block.model import Block
 from photocal.block.network import assemble, observed_pixels, observed_plane
 from photocal.geometry.camera import PARAMETERS
@@ -240,7 +240,10 @@ class _Rays:
 def intersect_points(
     block: Block, orientation: DirectOrientation, wanted: Integers, joint: Floats | None = None
 ) -> Intersected:
-    """Intersect points from all images that have an orientation."""
+    """Intersect points from all images that have an orientation.
+
+    raises IllPosedError: when no point has two rays that meet.
+    """
     if joint is None:
         # What the block states of the interior orientation; 0 where it states nothing.
         stated = (
@@ -255,27 +258,32 @@ def intersect_points(
     every = _rays(block, orientation, np.diag(joint)[len(orientation.common_covariance) :])
     poses = every.centre, every.rotation
     start = intersect(observations.point, len(block.points.names), *poses, every.ideal, every.distance)
-    intersected = []
+    found = []
     for point in wanted:
         rays = np.flatnonzero(observations.point == point)
         if len(rays) < 2 or not np.isfinite(start[point]).all():
             continue
         solved = _one_point(block, orientation, every, rays, start[point], joint)
         if solved is not None:
-            intersected.append((int(point), rays, *solved))
-    rays = np.concatenate([f[1] for f in intersected]) if intersected else np.zeros(0, dtype=np.int64)
+            found.append((int(point), rays, *solved))
+    if not found:
+        raise IllPosedError(
+            "no ground point has two rays from exposures with position and attitude that meet",
+            "measure the ground points in more images; do positions and images belong together?",
+            where=block.name,
+        )
+    points, of_points, xyz, covariance, residuals, standardised, squares = zip(*found, strict=True)
+    rays = np.concatenate(of_points)
     pitch = np.array([camera.pitch for camera in block.cameras])
-    scale = pitch[block.images.camera[observations.image[rays]]]
-    stack = np.concatenate
     return Intersected(
-        np.array([f[0] for f in intersected], dtype=np.int64),
-        np.array([f[2] for f in intersected]).reshape(-1, 3),
-        np.array([f[3] for f in intersected]).reshape(-1, 3, 3),
+        np.array(points),
+        np.array(xyz),
+        np.array(covariance),
         chosen[rays],
-        stack([f[4] for f in intersected]) / scale if intersected else np.zeros((0, 2)),
-        stack([f[5] for f in intersected]) if intersected else np.zeros((0, 2)),
-        float(sum(f[6] for f in intersected)),
-        2 * len(rays) - 3 * len(intersected),
+        np.concatenate(residuals) / pitch[block.images.camera[observations.image[rays]]],
+        np.concatenate(standardised),
+        float(sum(squares)),
+        2 * len(rays) - 3 * len(points),
     )
 
 

@@ -39,7 +39,7 @@ from photocal.analysis.georeferencing.direct import (
 )
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.chi_square import GlobalTest, global_test
-from photocal.base.errors import ConfigurationError, IllPosedError, PhotocalError
+from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.base.policy import policy
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.motion import observed_motion
@@ -241,12 +241,6 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
             where=block.name,
         )
     intersected = intersect_points(block, orientation, ground_points(block), joint)
-    if not len(intersected.points):
-        raise IllPosedError(
-            "no ground point has two rays from exposures with position and attitude that meet",
-            "measure the ground points in more images; do positions and images belong together?",
-            where=block.name,
-        )
     label = "direct: space intersection from GNSS and attitude alone"
     if not orientation.known.all():
         label += f"; images without position or attitude, left out: {int((~orientation.known).sum())}"
