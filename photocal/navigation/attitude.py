@@ -73,12 +73,10 @@ class AttitudeTrack:
 
     time: by the clock of what measured them.
     rotation (n, 3, 3): from east, north, up to body axes.
-    source: what told them, for example ``ATTITUDE_QUATERNION``.
     """
 
     time: GpsTime
     rotation: Floats
-    source: str
 
     def __len__(self) -> int:
         return len(self.time)

@@ -269,13 +269,13 @@ def _attitude(tracks: Mapping[str, Received | None]) -> AttitudeTrack | None:
     angles = tracks["ATTITUDE"]
     if angles is not None and len(angles[0]):
         rpy = np.stack([angles[2][name].astype(float) for name in ("roll", "pitch", "yaw")], axis=1)
-        made.append(AttitudeTrack(UtcTime(angles[1]).to_gps(), object_to_body(rpy)[0], "ATTITUDE"))
+        made.append(AttitudeTrack(UtcTime(angles[1]).to_gps(), object_to_body(rpy)[0]))
     quaternions = tracks["ATTITUDE_QUATERNION"]
     if quaternions is not None and len(quaternions[0]):
         wxyz = np.stack([quaternions[2][name].astype(float) for name in ("q1", "q2", "q3", "q4")], axis=1)
         sound = np.abs(np.linalg.norm(wxyz, axis=1) - 1) < 0.01
         time = UtcTime(quaternions[1][sound]).to_gps()
-        made.append(AttitudeTrack(time, rotations_of_quaternions(wxyz[sound]), "ATTITUDE_QUATERNION"))
+        made.append(AttitudeTrack(time, rotations_of_quaternions(wxyz[sound])))
     return max(made, key=len, default=None)
 
 
@@ -324,9 +324,8 @@ def decoded_attitude(log: FlightLog, link: str) -> AttitudeTrack | None:
     """Return the rotations in `/<link>/attitude`: body (forward, right, down) to north, east, down."""
     from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
-    stamps, turns, source = [], [], ""
+    stamps, turns = [], []
     for messages in log.topic(f"/{link}/attitude"):
-        source = messages.channel.metadata.get("source", "attitude")
         for payload in messages.payloads:
             transform = FrameTransform.FromString(payload)
             stamps.append(transform.timestamp.seconds * SECOND_NS + transform.timestamp.nanos)
@@ -337,7 +336,7 @@ def decoded_attitude(log: FlightLog, link: str) -> AttitudeTrack | None:
     if not sound.any():
         return None
     utc, first = np.unique(np.array(stamps, np.int64)[sound], return_index=True)
-    return AttitudeTrack(UtcTime(utc).to_gps(), rotations_of_quaternions(wxyz[sound][first]), source)
+    return AttitudeTrack(UtcTime(utc).to_gps(), rotations_of_quaternions(wxyz[sound][first]))
 
 
 def told_mounting(log: FlightLog, link: str) -> AutopilotMounting:

@@ -51,7 +51,7 @@ def exposure() -> tuple[Exposures, CameraOnBody]:
     turns = Slerp([0.0, 1.0], body_to_enu(np.stack([START, END])))
     steps = Rotation.concatenate([body_to_enu(START), turns(0.5), body_to_enu(END)])
     stamp = GpsTime.from_week(np.full(3, 2022), 1020.0 + np.array([0.0, 0.5, 1.0]))
-    track = AttitudeTrack(stamp, steps.inv().as_matrix(), "test")
+    track = AttitudeTrack(stamp, steps.inv().as_matrix())
     event = GpsTime.from_week([2022], [1020.25])
     sigma = np.array([TIME_SIGMA])
     attitude = at_instants(track, event, ANGLE_SIGMA)
@@ -113,7 +113,7 @@ def test_interpolated_attitudes_are_as_uncertain_as_claimed() -> None:
     truth = body_to_enu(wander + np.array([0.1, -0.2, 1.0]))
     stamp = GpsTime.from_week(np.full(n, 2022), 1000 + np.arange(n) * step)
     recorded = np.arange(0, n, 20)
-    track = AttitudeTrack(stamp[recorded], truth[recorded].inv().as_matrix(), "test")
+    track = AttitudeTrack(stamp[recorded], truth[recorded].inv().as_matrix())
     between = recorded[:-1] + 10
     found = at_instants(track, stamp[between], np.zeros(3))
     error = Rotation.from_matrix(
@@ -131,7 +131,7 @@ def test_quaternions_and_gaps() -> None:
     rotation = rotations_of_quaternions(np.array([[half, 0.0, 0.0, half], [1.0, 0.0, 0.0, 0.0]]))
     assert rotation[0] @ [1.0, 0.0, 0.0] == pytest.approx([1.0, 0.0, 0.0])
     assert rotation[1] @ [0.0, 1.0, 0.0] == pytest.approx([1.0, 0.0, 0.0])
-    track = AttitudeTrack(GpsTime.from_week([2022, 2022], [1.0, 3.0]), rotation, "test")
+    track = AttitudeTrack(GpsTime.from_week([2022, 2022], [1.0, 3.0]), rotation)
     assert not at_instants(track, GpsTime.from_week([2022], [2.0]), None).known.any()
 
 
