@@ -195,13 +195,11 @@ class RelativeOrientation:
 
     rotation (3, 3): from the first image's camera axes to the second's.
     base (3,): projection centre of the second image.
-    points (n, 3): intersections of the rays, in the first image's camera axes.
     angle: median angle between the two rays of a point, radians.
     """
 
     rotation: Floats
     base: Floats
-    points: Floats
     angle: float
 
 
@@ -255,7 +253,5 @@ def _candidate(turn: Floats, shift: Floats, first: Floats, second: Floats) -> Re
     in_front = 0.8
     if front.mean() < in_front:
         return None
-    points = (s[:, None] * left + base + t[:, None] * right) / 2
-    points[~front] = np.nan
     angle = np.arccos(np.clip(ab[front] / np.sqrt(aa * bb)[front], -1.0, 1.0))
-    return RelativeOrientation(rotation, base, points, float(np.median(angle)))
+    return RelativeOrientation(rotation, base, float(np.median(angle)))

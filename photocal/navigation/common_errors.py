@@ -13,8 +13,8 @@ from photocal.base.errors import ConfigurationError
 from photocal.base.geodesy import geodetic
 from photocal.block.project import AirAtBase
 from photocal.findings.texts import Catalogue
-from photocal.navigation.engine import (
-    PER_METRE,
+from photocal.navigation.engine import PER_METRE
+from photocal.navigation.satellite_residuals import (
     SatelliteResiduals,
     correlation_time_s,
     shift_by_zenith_delay,

@@ -2,8 +2,6 @@
 
 The engine is RTKLIB 2.4.3 (Takasu and Yasuda 2009) by its programs `convbin` and `rnx2rtkp`, as Debian
 packages them. Its fork demo5 fixes more epochs and, on a rover among trees, 2 % of them wrongly.
-
-What the engine writes: positions, and direction and residuals of each satellite.
 """
 
 import shutil
@@ -13,7 +11,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from photocal.base.arrays import Floats, Integers, nearest
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError, ProgramMissingError
@@ -26,7 +23,7 @@ FIXED, FLOAT = 1, 2
 _LEAST_SIGMA_M = 1e-4
 # Multipath and air of lower satellites spoil the search for whole cycles; they take part as floats, which
 # place no fix.
-_SEARCHED_DEG = 20.0
+SEARCHED_DEG = 20.0
 _STATUS = {1: "fixed", 2: "float"}
 # What differences do not remove of orbits, troposphere and ionosphere: a millimetre per kilometre at quiet
 # times (Odijk 2002, chapter 3).
@@ -129,125 +126,6 @@ def _possible(covariance: Floats, quality: Integers) -> Floats:
             continue
         covariance[lost] = covariance[good[nearest(good, lost)]]
     return covariance
-
-
-@dataclass(frozen=True)
-class SatelliteResiduals:
-    """Satellites used by the engine, one row per epoch, satellite and frequency.
-
-    satellite: such as ``G05``.
-    frequency (n,): 1 or 2.
-    azimuth, elevation (n,): radians.
-    residual_m, code_m (n,): of phase and code, double differenced: those of the reference satellite are 0.
-    """
-
-    time: GpsTime
-    satellite: NDArray[np.str_]
-    frequency: Integers
-    azimuth: Floats
-    elevation: Floats
-    residual_m: Floats
-    code_m: Floats
-
-    def __len__(self) -> int:
-        return len(self.time)
-
-
-def read_satellite_residuals(path: Path) -> SatelliteResiduals:
-    """Read the satellites that were used from a status file (RTKLIB manual 2.4.2, appendix B.2)."""
-    least_fields = 12
-    rows: list[list[str]] = []
-    # A file that the engine did not write tells of none.
-    if path.exists():
-        with path.open(encoding="latin-1") as stream:
-            records = (line.split(",") for line in stream if line.startswith("$SAT"))
-            rows = [fields[1:9] for fields in records if len(fields) >= least_fields and fields[9] == "1"]
-    week, tow, satellite, frequency, azimuth, elevation, code, residual = (
-        zip(*rows, strict=True) if rows else [()] * 8
-    )
-    seconds = np.array(tow, np.float64)
-    ns = np.array(week, np.int64) * WEEK_NS + np.rint(seconds * 1e3).astype(np.int64) * 1_000_000
-    return SatelliteResiduals(
-        GpsTime(ns),
-        np.array(satellite, "U3"),
-        np.array(frequency, np.int64),
-        np.radians(np.array(azimuth, np.float64)),
-        np.radians(np.array(elevation, np.float64)),
-        np.array(residual, np.float64),
-        np.array(code, np.float64),
-    )
-
-
-def shift_by_zenith_delay(satellites: SatelliteResiduals) -> Floats:
-    """Return by how much positions move for each metre of zenith delay that is not taken into account."""
-    first = (satellites.frequency == 1) & (satellites.elevation >= np.radians(_SEARCHED_DEG))
-    epochs = np.unique(satellites.time.ns[first])
-    moved = []
-    most_epochs = 200
-    for epoch in epochs[:: max(len(epochs) // most_epochs, 1)].tolist():
-        rows = first & (satellites.time.ns == epoch)
-        up = np.sin(satellites.elevation[rows])
-        level = np.cos(satellites.elevation[rows])
-        azimuth = satellites.azimuth[rows]
-        system = np.array([name[0] for name in satellites.satellite[rows].tolist()])
-        clocks = [(system == letter).astype(float) for letter in np.unique(system)]
-        design = np.stack([-np.sin(azimuth) * level, -np.cos(azimuth) * level, -up, *clocks], axis=1)
-        if len(design) <= design.shape[1]:
-            continue
-        weight = 1 / (1 + 1 / up**2)
-        normal = design.T @ (design * weight[:, None])
-        moved.append(np.linalg.solve(normal, design.T @ (weight / up))[:3])
-    return np.median(moved, axis=0) if moved else np.full(3, np.nan)
-
-
-def correlation_time_s(satellites: SatelliteResiduals) -> float:
-    """Return how long errors of the phases last: the integral of their autocorrelation."""
-    # The mean over a time T of errors with the variance s^2 has the variance 2 s^2 t / T with this time t
-    # (Sokal 1997, eq. 2.20). Residuals are taken less the mean of their system and frequency at each epoch,
-    # which removes the reference satellite; what correlates the positions' errors is the same multipath.
-    epochs, at = np.unique(satellites.time.ns, return_inverse=True)
-    least_epochs = 30
-    if len(epochs) < least_epochs:
-        return float("nan")
-    table = _centred(satellites, at, len(epochs))
-    step = float(np.median(np.diff(epochs))) / 1e9
-    # Epochs a second apart tell enough, and take less time.
-    stride = max(round(1.0 / step), 1)
-    table, step = table[::stride], step * stride
-    known = np.isfinite(table)
-    filled = np.where(known, table, 0.0)
-    variance = float(np.sum(filled**2)) / max(int(known.sum()), 1)
-    if variance == 0:
-        return float("nan")
-    total = 0.5
-    longest_lag_s = 300.0
-    # Windows of several correlation times balance noise and what is cut off (Sokal 1997, section 3).
-    window = 5.0
-    for lag in range(1, min(len(table) // 3, int(longest_lag_s / step))):
-        together = int(np.sum(known[lag:] & known[:-lag]))
-        if not together:
-            break
-        total += float(np.sum(filled[lag:] * filled[:-lag])) / together / variance
-        if lag >= window * total:
-            break
-    return max(total, 0.5) * step
-
-
-def _centred(satellites: SatelliteResiduals, at: Integers, epochs: int) -> Floats:
-    """Return residuals by epoch and signal, less the mean of each system and frequency; NaN where none."""
-    signal = np.array([f"{s}{f}" for s, f in zip(satellites.satellite, satellites.frequency, strict=True)])
-    names, column = np.unique(signal, return_inverse=True)
-    table = np.full((epochs, len(names)), np.nan)
-    table[at, column] = satellites.residual_m
-    groups = np.array([name[0] + name[-1] for name in names.tolist()])
-    for group in np.unique(groups):
-        part = table[:, groups == group]
-        known = np.isfinite(part)
-        count = known.sum(axis=1, keepdims=True)
-        mean = np.where(known, part, 0.0).sum(axis=1, keepdims=True) / np.maximum(count, 1)
-        # Alone, or with one other, a satellite says nothing.
-        table[:, groups == group] = np.where(count > 2, part - mean, np.nan)
-    return table
 
 
 def static_position(forward: EngineSolution, combined: EngineSolution) -> EngineSolution:
@@ -378,11 +256,6 @@ def solve(
     return read_solution(output)
 
 
-def satellite_residuals(mode: Mode, rover: Path, folder: Path) -> SatelliteResiduals:
-    """Return the satellites of the forward run with the base that `solve` has done in the folder."""
-    return read_satellite_residuals(folder / f"{rover.stem}-{mode}-forward.pos.stat")
-
-
 def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) -> str:
     """Return the engine's configuration file, also for a run by hand."""
     systems = sum(_SYSTEMS.get(letter, 0) for letter in options.systems)
@@ -399,7 +272,7 @@ def configuration(mode: Mode, direction: Direction, options: ProcessingOptions) 
         "pos2-armode": "continuous",
         "pos2-gloarmode": "on",
         "pos2-arthres": f"{options.ratio:g}",
-        "pos2-arelmask": f"{_SEARCHED_DEG:g}",
+        "pos2-arelmask": f"{SEARCHED_DEG:g}",
         "out-solformat": "llh",
         "out-outhead": "on",
         "out-outvel": "on",

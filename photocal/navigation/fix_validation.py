@@ -8,7 +8,7 @@ from scipy.ndimage import label
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.policy import policy
 from photocal.navigation.engine import FIXED, FLOAT, EngineSolution
-from photocal.navigation.float_errors import CodeErrors
+from photocal.navigation.satellite_residuals import CodeErrors
 from photocal.navigation.time import GpsTime
 
 # A claim of two runs to the same fix holds when they agree as well as two fixes do.

@@ -18,13 +18,11 @@ from photocal.navigation.engine import (
     Mode,
     ProcessingOptions,
     in_order,
-    satellite_residuals,
     solve,
     static_position,
     trajectory_of,
 )
 from photocal.navigation.fix_validation import judge
-from photocal.navigation.float_errors import code_errors
 from photocal.navigation.ppk_inputs import Inputs, Sources, gather_inputs
 from photocal.navigation.ppk_result import Ppk
 from photocal.navigation.precise_results import (
@@ -33,6 +31,7 @@ from photocal.navigation.precise_results import (
     count_ephemerides,
     read_antennas,
 )
+from photocal.navigation.satellite_residuals import code_errors, satellite_residuals
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import enu_axes_at
 

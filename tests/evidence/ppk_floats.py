@@ -27,15 +27,14 @@ from photocal.navigation.engine import (
     Direction,
     EngineSolution,
     in_order,
-    satellite_residuals,
     solve,
     to_rinex,
 )
 from photocal.navigation.fix_validation import judge
-from photocal.navigation.float_errors import code_errors
 from photocal.navigation.ppk import options_for, process
 from photocal.navigation.ppk_inputs import Inputs
 from photocal.navigation.precise_results import read_observation_file
+from photocal.navigation.satellite_residuals import code_errors, satellite_residuals
 from tests.photocal.navigation.conftest import frames_of
 
 Floats = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from photocal.navigation.float_errors import code_errors
+from photocal.navigation.satellite_residuals import code_errors
 from tests.photocal.navigation.test_satellite_residuals import SKY, satellite_residuals
 
 EPOCHS = 2400

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from photocal.navigation.engine import (
+from photocal.navigation.satellite_residuals import (
     SatelliteResiduals,
     correlation_time_s,
     read_satellite_residuals,
