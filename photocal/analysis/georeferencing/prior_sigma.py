@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from photocal.adjustment.adjust import adjust
 from photocal.analysis.accuracy.output import told_table
 from photocal.analysis.accuracy.variance_analysis import (
     VarianceEffect,
@@ -18,19 +19,16 @@ from photocal.analysis.accuracy.variance_analysis import (
     variance_tables,
 )
 from photocal.analysis.georeferencing.comparison import differences, exposure_difference
-from photocal.analysis.georeferencing.methods import of_method
-from photocal.base.arrays import Floats
+from photocal.analysis.georeferencing.methods import of_method, with_roles
+from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.block.model import Block
+from photocal.block.network import assemble
 from photocal.findings.document import TablePart
 from photocal.findings.texts import Catalogue
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-from photocal.adjustment.adjust import adjust
-from photocal.analysis.georeferencing.methods import with_roles
-from photocal.base.arrays import Integers
-from photocal.block.network import assemble
 
 _ELEMENTS = ("omega", "phi", "kappa", "x", "y", "z")
 
