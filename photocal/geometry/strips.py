@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Flags, Floats, Integers
 
 # A strip ends with a turn of the track.
 _TURN_DEG = 30.0
@@ -19,10 +19,9 @@ def strips(seconds: Floats, velocity: Floats) -> tuple[Integers, Floats]:
     returns strip (n,).
     returns elapsed (n,): seconds since the middle of the strip.
     """
-    heading = np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1]))
     # And with a pause, in intervals.
     pause = 4.0
-    turned = np.abs((np.diff(heading) + 180.0) % 360.0 - 180.0) > _TURN_DEG
+    turned = _turns(velocity)
     wait = np.diff(seconds)
     paused = wait > pause * np.median(wait) if len(wait) else turned
     strip = np.concatenate([[0], np.cumsum(turned | paused)]).astype(np.int64)
@@ -31,6 +30,12 @@ def strips(seconds: Floats, velocity: Floats) -> tuple[Integers, Floats]:
     np.minimum.at(first, strip, seconds)
     np.maximum.at(last, strip, seconds)
     return strip, np.asarray(seconds - ((first + last) / 2)[strip])
+
+
+def _turns(course: Floats) -> Flags:
+    """Where a course (n, 3) turns from one place to the next."""
+    heading = np.degrees(np.arctan2(course[:, 0], course[:, 1]))
+    return np.asarray(np.abs((np.diff(heading) + 180.0) % 360.0 - 180.0) > _TURN_DEG)
 
 
 def order_of_places(names: Sequence[str], centre: Floats) -> Integers:
@@ -57,9 +62,7 @@ def lines_of_places(centre: Floats) -> Integers:
     """
     if len(centre) < 3:
         return np.zeros(len(centre), dtype=np.int64)
-    step = np.diff(centre[:, :2], axis=0)
-    heading = np.degrees(np.arctan2(step[:, 0], step[:, 1]))
-    turned = np.abs((np.diff(heading) + 180.0) % 360.0 - 180.0) > _TURN_DEG
+    turned = _turns(np.diff(centre, axis=0))
     # Before and after each step; the ends turn with their only neighbour.
     before, after = np.concatenate([turned[:1], turned]), np.concatenate([turned, turned[-1:]])
     across = before & after

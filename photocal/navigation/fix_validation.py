@@ -34,7 +34,8 @@ class ValidatedFixes:
     float_factor (3,): by how much the engine's float sigmas are too small over the flight (east, north, up).
     separation_m (n, 3): forward minus backward; NaN where one of them has no position.
     directions (n, 2): quality of forward and backward, 0 where there is no position.
-    velocity_sigma_m_s: robust standard deviation of the Doppler velocity, one component.
+    velocity_m_s (n, 3): from Doppler, east, north, up; NaN where it is not known.
+    velocity_sigma_m_s: robust standard deviation of one component of it.
     """
 
     solution: EngineSolution
@@ -42,6 +43,7 @@ class ValidatedFixes:
     float_factor: Floats
     separation_m: Floats
     directions: Integers
+    velocity_m_s: Floats
     velocity_sigma_m_s: float
 
 
@@ -95,7 +97,7 @@ def judge(
     floating = quality == FLOAT
     if floating.any():
         factor = np.sqrt(np.mean((judged.sigma_m / combined.sigma_m)[floating] ** 2, axis=0))
-    return ValidatedFixes(judged, demoted, factor, separation, directions, sigma)
+    return ValidatedFixes(judged, demoted, factor, separation, directions, velocity, sigma)
 
 
 def _carried_on(fixed: Flags, disagree: Flags, steps_m: Floats) -> Flags:

@@ -172,9 +172,7 @@ def process(inputs: Inputs, options: ProcessingOptions, mode: Mode, folder: Path
             lasting = code_errors(satellites)
             judgement = judge(combined, forward, backward, code, options.ratio, lasting)
             count = int(replaced.sum())
-            row = code.at(combined.time)
-            velocity = np.where((row >= 0)[:, None], code.velocity_m_s[row], np.nan)
-            sigma = judgement.velocity_sigma_m_s
+            velocity, sigma = judgement.velocity_m_s, judgement.velocity_sigma_m_s
             trajectory = trajectory_of(judgement.solution, sigma, inputs.base_m, velocity)
     common = common_errors(trajectory, satellites, inputs.base_m, inputs.base_sigma_m, inputs.weather)
     return Ppk(inputs, options, mode, combined, judgement, trajectory, off_m, gaps, count, common)

@@ -11,14 +11,19 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from photocal.base import time_scales as gnsstime
 from photocal.base.arrays import Integers
 from photocal.base.errors import InputMalformedError
-from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS, WEEK_S
+from photocal.base.time_scales import (
+    EXPIRES,
+    GPS_EPOCH_NS,
+    SECOND_NS,
+    WEEK_S,
+    gps_to_utc_ns,
+    utc_to_gps_ns,
+    week_to_ns,
+)
 
 WEEK_NS = WEEK_S * SECOND_NS
-EXPIRES = gnsstime.EXPIRES
-"""Day until which the table of leap seconds is announced (IERS Bulletin C)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +69,11 @@ class GpsTime(Instants):
                 "GPS week 0 or a time of week outside the week",
                 "leave out what the receiver sent before it knew the time",
             )
-        return cls(gnsstime.week_to_ns(weeks, tow))
+        return cls(week_to_ns(weeks, tow))
 
     def to_utc(self) -> "UtcTime":
         """Convert to UTC."""
-        utc = UtcTime(gnsstime.gps_to_utc_ns(self.ns))
+        utc = UtcTime(gps_to_utc_ns(self.ns))
         refuse_expired(utc)
         return utc
 
@@ -83,7 +88,7 @@ class UtcTime(Instants):
     def to_gps(self) -> GpsTime:
         """Convert to GPS time, the inverse of `GpsTime.to_utc`; a leap second itself counts as the next."""
         refuse_expired(self)
-        return GpsTime(gnsstime.utc_to_gps_ns(self.ns))
+        return GpsTime(utc_to_gps_ns(self.ns))
 
     def iso(self) -> list[str]:
         """Return calendar dates, UTC, to the millisecond, for messages."""
