@@ -3,9 +3,9 @@
 The system of the coordinates that another program has written, from the WKT beside them.
 """
 
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -213,12 +213,22 @@ def require_unique(names: Sequence[str], what: str, place: object) -> None:
 
 def distinct(names: Iterable[str]) -> list[str]:
     """Names of which none comes twice: images of several folders often have equal ones."""
-    count = Counter[str]()
-    found = list[str]()
-    for name in names:
-        count[name] += 1
-        found.append(name if count[name] == 1 else f"{name} ({count[name]})")
+    given = list(names)
+    taken, found = set(given), list[str]()
+    further = dict[str, Iterator[str]]()
+    for name in given:
+        own = name
+        if name in further:
+            own = next(one for one in further[name] if one not in taken)
+            taken.add(own)
+        else:
+            further[name] = _numbered(name)
+        found.append(own)
     return found
+
+
+def _numbered(name: str) -> Iterator[str]:
+    return (f"{name} ({k})" for k in count(2))
 
 
 def require_file_name(name: str) -> None:
