@@ -456,7 +456,10 @@ def _standing(folder: Path, key: str, digests: Digests) -> dict[str, Any] | None
 def _key(stage: Stage, digests: Digests) -> str:
     for name, path in stage.inputs.items():
         if not path.exists():
-            raise InputNotFoundError(f"{name} does not exist", "check the project file", where=path)
+            remedy = "check the project file"
+            if path.suffix == ".mcap":
+                remedy = f"check the project file, or make it: acquire import RECORDINGS -o {path.name}"
+            raise InputNotFoundError(f"{name} does not exist", remedy, where=path)
     content = {
         "stage": stage.name,
         "program": program(stage.make),

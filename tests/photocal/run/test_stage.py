@@ -219,6 +219,14 @@ def test_a_missing_input_is_named(shouting: Shouting) -> None:
         shouting.bring()
 
 
+def test_who_has_not_imported_the_recordings_is_told_how(shouting: Shouting, tmp_path: Path) -> None:
+    """A simulated flight, and the files of any receiver, come as recordings; a project names their log."""
+    unmade = replace(shouting.stage, inputs={"log 1": tmp_path / "flight.mcap"})
+    with pytest.raises(InputNotFoundError, match="log 1 does not exist") as refused:
+        shouting.bring(unmade)
+    assert "acquire import RECORDINGS -o flight.mcap" in refused.value.remedy
+
+
 _SLOW = """
 import sys, time
 from pathlib import Path
