@@ -17,6 +17,7 @@ from contextlib import contextmanager, redirect_stderr
 from dataclasses import MISSING, dataclass, fields
 from functools import partial, wraps
 from importlib import import_module
+from types import MappingProxyType
 from typing import (
     TYPE_CHECKING,
     Annotated,
@@ -52,6 +53,8 @@ if TYPE_CHECKING:
 LINE_EVERY_S = 10.0
 # What such a line says behind the title.
 _LEFT = "{share}%, {seconds} s left"
+# The same of a whole run, in a line and beside a bar.
+OF_RUN, ON_BAR = "{share}% of the run, {seconds} s left", "{clock} left"
 
 
 class _Late(Mapping[str, Any]):
@@ -512,17 +515,22 @@ def progress(title: str, total: float | None, left: str = _LEFT) -> Iterator[Cal
         yield lambda amount: bar.advance(task, amount)
 
 
-def one_bar(as_json: bool = False) -> Bar:
-    """Show a run of several stages on standard error by one bar, or line by line into a file or as JSON."""
+def one_bar(as_json: bool = False, words: Mapping[str, str] = MappingProxyType({})) -> Bar:
+    """Show a run of several stages on standard error by one bar, or line by line into a file or as JSON.
+
+    words: titles of work, `OF_RUN` and `ON_BAR` in the language of the person, where that is not English.
+    """
     # To a program that asked for JSON.
     json_every_s = 2.0
     if as_json:
         return partial(_as_lines, json_every_s, _as_json)
-    return _on_terminal if sys.stderr.isatty() else partial(_as_lines, LINE_EVERY_S, _in_words)
+    if sys.stderr.isatty():
+        return partial(_on_terminal, words)
+    return partial(_as_lines, LINE_EVERY_S, partial(_in_words, words))
 
 
 @contextmanager
-def _on_terminal() -> Iterator[Callable[[Standing], None]]:
+def _on_terminal(words: Mapping[str, str]) -> Iterator[Callable[[Standing], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as RichProgress
@@ -538,8 +546,8 @@ def _on_terminal() -> Iterator[Callable[[Standing], None]]:
 
         def show(now: Standing) -> None:
             """Draw it anew."""
-            left = f"{clock(now.left_s)} left"
-            bar.update(task, description=_doing(now), completed=now.share, left=left)
+            left = words.get(ON_BAR, ON_BAR).format(clock=clock(now.left_s))
+            bar.update(task, description=_doing(now, words), completed=now.share, left=left)
 
         yield show
 
@@ -558,9 +566,10 @@ def _as_lines(every_s: float, line: Callable[[Standing], str]) -> Iterator[Calla
     yield show
 
 
-def _in_words(now: Standing) -> str:
-    doing = f"{_doing(now)}: " if now.stage or now.title else ""
-    return f"{doing}{math.floor(100 * now.share)}% of the run, {math.ceil(now.left_s)} s left"
+def _in_words(words: Mapping[str, str], now: Standing) -> str:
+    doing = f"{_doing(now, words)}: " if now.stage or now.title else ""
+    left = words.get(OF_RUN, OF_RUN)
+    return doing + left.format(share=math.floor(100 * now.share), seconds=math.ceil(now.left_s))
 
 
 def _as_json(now: Standing) -> str:
@@ -569,9 +578,10 @@ def _as_json(now: Standing) -> str:
     return json.dumps({"progress": kept | seconds})
 
 
-def _doing(now: Standing) -> str:
-    # A stage of one piece of work has its name.
-    return printable(": ".join(filter(None, dict.fromkeys((now.stage, now.title)))))
+def _doing(now: Standing, words: Mapping[str, str]) -> str:
+    # A stage of one piece of work has its name, by which `--again` and `--until` know it.
+    title = "" if now.title == now.stage else words.get(now.title, now.title)
+    return printable(": ".join(filter(None, (now.stage, title))))
 
 
 def clock(seconds: float) -> str:

@@ -3,12 +3,16 @@
 `photocal desk`: one window from the folder to the signed certificate.
 """
 
+import json
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from photocal.base.console import (
+    OF_RUN,
+    ON_BAR,
     Address,
     AsJson,
     Details,
@@ -22,6 +26,7 @@ from photocal.base.console import (
 )
 
 if TYPE_CHECKING:
+    from photocal.findings.texts import Catalogue
     from photocal.geometry.camera import Camera
     from photocal.run.debrief.verdict import Debrief
 
@@ -135,12 +140,23 @@ def run(
 
     say = catalogue(spoken(language))
     day = dt.datetime.now().astimezone().date()
-    figures = run_projects(projects, day, until, again, rehash, workers, cluster, one_bar(as_json))
+    figures = run_projects(
+        projects, day, until, again, rehash, workers, cluster, one_bar(as_json, progress_words(say))
+    )
     answer(
         as_json,
         lambda: figures[0] if len(projects) == 1 else figures,
         lambda: "\n\n".join(summary_text(figure, say, details=details) for figure in figures),
     )
+
+
+def progress_words(say: "Catalogue") -> dict[str, str]:
+    """Titles of the work of a run, which the window has, and its time left, in the language of a person."""
+    if say.language == "en":
+        return {}
+    window = json.loads(resources.files("photocal.desk").joinpath("page", "texts.json").read_text("utf-8"))
+    titles = dict(pair for key, pair in window.items() if key.startswith("work."))
+    return {**titles, OF_RUN: say.messages["ran.of_run"], ON_BAR: say.messages["ran.on_bar"]}
 
 
 def debrief(

@@ -14,6 +14,8 @@ import pytest
 
 from photocal.base.console import one_bar
 from photocal.base.progress import Standing, quiet
+from photocal.commands.project import progress_words
+from photocal.findings.texts import catalogue
 from photocal.run.course import Course, about_rays, expected, followed, into, usual_pieces
 
 
@@ -248,3 +250,20 @@ def test_a_name_stands_once(stage: str, title: str, line: str, capsys: pytest.Ca
     with one_bar()() as show:
         show(Standing(stage, title, None, None, 0.0, 0.0, 40.0, 0.0))
     assert capsys.readouterr().err == line + "\n"
+
+
+def test_progress_speaks_the_language_of_the_person(capsys: pytest.CaptureFixture[str]) -> None:
+    """Stages keep the names by which `--again` knows them."""
+    with one_bar(words=progress_words(catalogue("pt-BR")))() as show:
+        show(Standing("measurements", "matching pairs of images", None, None, 0.0, 0.36, 53.0, 0.0))
+    line = "measurements: associando pares de imagens: 36% do processamento, faltam 53 s"
+    assert capsys.readouterr().err == line + "\n"
+    assert progress_words(catalogue("en")) == {}
+
+
+def test_every_work_of_a_run_has_its_title_in_portuguese() -> None:
+    """Titles that are not in the window's texts would stay English."""
+    known = progress_words(catalogue("pt-BR"))
+    titles = {name for pieces in usual_pieces((1.0, 1.0, 1.0)).values() for name in pieces}
+    assert titles
+    assert titles <= known.keys()
