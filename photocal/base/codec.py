@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 import tomlkit
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from tomlkit.exceptions import TOMLKitError
 
@@ -28,6 +28,8 @@ from photocal.base.errors import InputMalformedError, InputNotFoundError
 Kind = TypeVar("Kind")
 # Files of ours are no larger.
 LARGEST_JSON = 1 << 28
+# Where an array of a packed object stood, and the name of what is none.
+_ARRAY, _ALL_ELSE = "<array>", "all else"
 _JSON_KINDS = (float, int, str, bool, list, dict, NoneType)
 
 
@@ -137,6 +139,41 @@ def object_of(
     except ValueError as failure:
         raise InputMalformedError(str(failure), remedy, where=where) from None
     return made
+
+
+def packed(value: Any) -> dict[str, NDArray[Any]]:
+    """Take an object apart for `numpy.savez`: its arrays as they are, all else as JSON; see `unpacked`."""
+    arrays: dict[str, NDArray[Any]] = {}
+
+    def plain(part: Any) -> Any:
+        """A part as JSON has it, with its arrays by number."""
+        if isinstance(part, np.ndarray):
+            arrays[str(len(arrays))] = part
+            return {_ARRAY: str(len(arrays) - 1), "kind": part.dtype.str, "shape": part.shape}
+        if is_dataclass(part):
+            return {field.name: plain(getattr(part, field.name)) for field in fields(part)}
+        if isinstance(part, Mapping):
+            return {key: plain(each) for key, each in part.items()}
+        if isinstance(part, list | tuple):
+            return [plain(each) for each in part]
+        return part.item() if isinstance(part, np.generic) else part
+
+    text = json.dumps(plain(value))
+    return {_ALL_ELSE: np.frombuffer(text.encode(), dtype=np.uint8), **arrays}
+
+
+def unpacked(kind: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
+    """Make the object of a kind again that `packed` took apart."""
+
+    def whole(part: Any) -> Any:
+        """A part of the JSON with its arrays."""
+        if isinstance(part, dict):
+            if _ARRAY in part:
+                return arrays[part[_ARRAY]]
+            return {key: whole(each) for key, each in part.items()}
+        return [whole(each) for each in part] if isinstance(part, list) else part
+
+    return from_plain(kind, whole(json.loads(arrays[_ALL_ELSE].tobytes())))
 
 
 def from_plain(kind: Any, value: Any, place: str = "", null: float | None = math.nan) -> Any:

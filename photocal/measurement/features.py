@@ -6,17 +6,20 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from photocal.base.archives import DAMAGES
 from photocal.base.arrays import Bytes, Columns, Integers
+from photocal.base.codec import packed, unpacked
 from photocal.base.files import output_file
+from photocal.base.program import program
 
 Arrays = dict[str, NDArray[Any]]
 Floats32 = NDArray[np.float32]
+Made = TypeVar("Made")
 
 
 def combined_key(*parts: object) -> str:
@@ -33,17 +36,31 @@ def array_key(*arrays: NDArray[Any]) -> str:
 
 
 def cached(folder: Path, key: str, names: tuple[str, ...], make: Callable[[], Arrays]) -> Arrays:
-    """Give arrays from the cache, or make and keep them."""
+    """Give arrays from the cache, or make and keep them; without names all there are."""
     path = _entry(folder, key)
     try:
         # Opened here, so that a damaged file is closed again.
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as held:
-            return {name: held[name] for name in names}
+            return {name: held[name] for name in names or held}
     except (KeyError, *DAMAGES):
         made = make()
     with output_file(path) as aside, aside.open("wb") as target:
         np.savez(target, **made)  # type: ignore[arg-type]
     return made
+
+
+def made_once(folder: Path | None, kind: Any, given: object, make: Callable[[], Made]) -> Made:
+    """Give an object from the cache, or make and keep it.
+
+    kind: its annotation.
+    given: all data that it is made of. The code that may make it belongs to the key, too.
+    """
+    if folder is None:
+        return make()
+    code = program(make)
+    key = combined_key(make.__qualname__, *code.values(), array_key(*packed(given).values()))
+    found: Made = unpacked(kind, cached(folder, key, (), lambda: packed(make())))
+    return found
 
 
 def kept(folder: Path, key: str) -> bool:

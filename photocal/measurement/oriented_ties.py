@@ -17,6 +17,7 @@ from photocal.block.results.adjusted import movements
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.control_fit import fit_control, not_used
+from photocal.measurement.features import made_once
 from photocal.measurement.image_file import left_out_entry
 from photocal.measurement.patch_matching import HALF, ImageSource, refine
 from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties
@@ -27,7 +28,7 @@ from photocal.measurement.tie_block import (
     reprojection_errors,
     with_ties,
 )
-from photocal.measurement.tie_orientation import oriented, position_sigmas, reweighted
+from photocal.measurement.tie_orientation import Placed, oriented, position_sigmas, reweighted
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
 
 # Cells along the longer side of an image; points in each that orient it at first, tracks that are matched
@@ -88,13 +89,17 @@ def first_orientation(marked: Block, tracks: Tracks, cache: Path | None = None) 
         start = replace(start, points=NO_POINTS)
     start, tracks, left_out = _connected(start, tracks)
     sizes = _sizes(start)
-    placed, poses, reasons, findings = oriented(start, _strong(tracks, sizes, FIRST_IN_A_CELL), cache)
+    strong = _strong(tracks, sizes, FIRST_IN_A_CELL)
+    placed, poses, reasons, found = made_once(
+        cache, Placed, (start, strong), lambda: oriented(start, strong, cache)
+    )
+    findings = list(found)
     named = zip(start.images.names, reasons, strict=True)
     left_out += [left_out_entry(name, why, "not-joined") for name, why in named if why]
     reached = np.array([not reason for reason in reasons])
     start, tracks = placed.of_images(reached), of_images(tracks, reached)
     stated = dict(zip(names, sigma, strict=True))
-    by_rays = adjust_ties(start, poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL))
+    by_rays = adjust_ties(start, poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL), cache)
     first, fits = by_rays, by_rays.start
     if len(marked.observations.image) or marked.points.of_role("control").any():
         fits, poses, of_control, controlled = fit_control(first, marked, _views(first))
@@ -229,12 +234,18 @@ def _matched(
     kept = np.isin(names, by_rays.start.images.names)
     chosen = [source for source, good in zip(sources, kept, strict=True) if good]
     partners = _partners(pairs, np.flatnonzero(kept), len(names))
-    tracks, points = _placed(views, tracks, FIRST_MISS_PX * max(1.0, longest_px / USUAL_PX))
-    with progress("matching tie points precisely", 2 * len(chosen)) as done:
-        matched = refine(chosen, views, tracks, points, partners, processes, done, level)
-    # Matched patches nearer than this show one place.
-    twin_px = 4.0
-    return without_twins(matched, twin_px)
+
+    def matched() -> Tracks:
+        """Measure them in the pictures."""
+        placed, points = _placed(views, tracks, FIRST_MISS_PX * max(1.0, longest_px / USUAL_PX))
+        with progress("matching tie points precisely", 2 * len(chosen)) as done:
+            found = refine(chosen, views, placed, points, partners, processes, done, level)
+        # Matched patches nearer than this show one place.
+        twin_px = 4.0
+        return without_twins(found, twin_px)
+
+    content = [source.key for source in chosen]
+    return made_once(sources[0].cache, Tracks, (content, views, tracks, partners, level), matched)
 
 
 def _adjusted(start: Block, values: Floats, matched: Tracks) -> AdjustedTies:

@@ -1,6 +1,7 @@
 """Adjusting a block of tie points robustly: gross errors taken out, sigmas estimated from the residuals."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -20,6 +21,7 @@ from photocal.block.results.adjusted import given_exposures, given_points
 from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+from photocal.measurement.features import made_once
 from photocal.measurement.image_file import left_out_entry
 from photocal.measurement.tie_block import (
     GROSS,
@@ -125,10 +127,38 @@ class _Ties:
         )
 
 
-def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> AdjustedTies:
-    """Adjust a block with tie points; rays that do not fit and undetermined images are left out."""
+def adjust_ties(start: Block, poses: Floats, tracks: Tracks, cache: Path | None = None) -> AdjustedTies:
+    """Adjust a block with tie points; rays that do not fit and undetermined images are left out.
+
+    cache: folder where the rays that fit are kept, for blocks that are adjusted again: those without marks.
+    """
     total, given = len(tracks.track), start.cameras
-    ties, block = _Ties(start, poses, tracks, np.ones(total)).held()
+    ties = made_once(cache, _Ties, (start, poses, tracks), lambda: _fitting_ties(start, poses, tracks))
+    # Readouts that the network did not bear while rays still fell out are tested once more.
+    ties, block = replace(ties, start=_opened(ties.start, given)).held()
+    ties, block, solved = _where_rays_meet(ties, block, held=False)
+    start, assembly, solution = _with_room(*solved)
+    start = _opened(start, given)
+    if start.datum == "free":
+        block = without_single_rays(block)
+    values = given_exposures(assembly, solution)[0]
+    points = block.points.values.copy()
+    tie = assembly.points >= len(start.points.names)
+    points[assembly.points[tie]] = given_points(assembly, solution)[0][tie]
+    block = replace(
+        block,
+        cameras=start.cameras,
+        datum=start.datum,
+        images=_kept(start, values),
+        points=replace(block.points, values=points),
+    )
+    rejected = total - len(ties.tracks.track)
+    return AdjustedTies(block, start, ties.tracks, values, assembly, solution, rejected, ties.left_out)
+
+
+def _fitting_ties(start: Block, poses: Floats, tracks: Tracks) -> _Ties:
+    """The rays that fit, with their sigmas, and the block as they leave it."""
+    ties, block = _Ties(start, poses, tracks, np.ones(len(tracks.track))).held()
     as_oriented = replace(block, images=replace(block.images, values=ties.poses))
     ties, block = ties.some(fitting(as_oriented)[len(ties.start.observations.image) :]).held()
     for round_ in range(_ROUNDS):
@@ -152,26 +182,7 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> AdjustedTies:
         ties, block = replace(ties, sigma=sigma).some(good).held()
         if round_ and np.mean(~good) <= FEW_LEFT:
             break
-    # Readouts that the network did not bear while rays still fell out are tested once more.
-    ties = replace(ties, start=_opened(ties.start, given))
-    ties, block, solved = _where_rays_meet(ties, block, held=False)
-    start, assembly, solution = _with_room(*solved)
-    start = _opened(start, given)
-    if start.datum == "free":
-        block = without_single_rays(block)
-    values = given_exposures(assembly, solution)[0]
-    points = block.points.values.copy()
-    tie = assembly.points >= len(start.points.names)
-    points[assembly.points[tie]] = given_points(assembly, solution)[0][tie]
-    block = replace(
-        block,
-        cameras=start.cameras,
-        datum=start.datum,
-        images=_kept(start, values),
-        points=replace(block.points, values=points),
-    )
-    rejected = total - len(ties.tracks.track)
-    return AdjustedTies(block, start, ties.tracks, values, assembly, solution, rejected, ties.left_out)
+    return ties
 
 
 def with_vibration(adjusted: AdjustedTies) -> AdjustedTies:

@@ -54,10 +54,11 @@ SAME_WAY, MOST, UPRIGHT = 0.87, 0.9, 0.3
 # Images of a model that is joined to another by positions alone, and how well these turn it (rad).
 FEWEST_JOINED, JOINED_TURN = 4, 0.05
 
+# A block with the poses of its images, why some have none, and what was found.
+Placed = tuple[Block, Floats, tuple[str, ...], tuple[Finding, ...]]
 
-def oriented(
-    block: Block, tracks: Tracks, cache: Path | None = None
-) -> tuple[Block, Floats, tuple[str, ...], list[Finding]]:
+
+def oriented(block: Block, tracks: Tracks, cache: Path | None = None) -> Placed:
     """Orient the images of a block by tracks, and place them by control points, positions and attitudes.
 
     cache: folder where the models of rays alone are kept.
@@ -119,7 +120,7 @@ def oriented(
         findings.append(Finding("positions-in-line", "doubtful", figures={"turn_deg": math.degrees(turn)}))
     if (determined or turn > 0) and block.datum == "control":
         block = replace(block, images=reweighted(block.images, poses, shifted=False))
-    return block, poses, tuple(reasons), findings
+    return block, poses, tuple(reasons), tuple(findings)
 
 
 def _kept_models(seen: Bearings, cache: Path) -> list[Model]:

@@ -1,14 +1,19 @@
-"""Objects from plain values: annotations that are aliases with parameters."""
+"""Objects from plain values, and from the arrays that they were packed into."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import pytest
 from typing_extensions import TypeAliasType
 
-from photocal.base.codec import from_plain
+from photocal.base.codec import from_plain, packed, same, unpacked
+from photocal.block.folder import read_block
+from photocal.block.model import Block
+from tests.evidence.judging import fly
+from tests.independent.flights import Design, Errors
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 # As numpy defines NDArray from 2.5 on.
@@ -25,3 +30,15 @@ def test_an_array_is_read_by_the_alias_of_its_type() -> None:
 def test_what_is_no_number_is_refused() -> None:
     with pytest.raises(ValueError, match="could not convert"):
         from_plain(Array[np.float64], ["a"], "place")
+
+
+def test_an_object_that_was_packed_is_the_same_again(tmp_path: Path) -> None:
+    design = Design("small", images=4, per_image=20)
+    fly(tmp_path / "block", design, Errors(), 0)
+    block = read_block(tmp_path / "block")
+    np.savez(tmp_path / "kept.npz", **packed(block))
+    with np.load(tmp_path / "kept.npz", allow_pickle=False) as held:
+        again = unpacked(Block, held)
+    # Some of its standard deviations are infinite, some of its values are unknown.
+    assert np.isinf(block.images.sigma).any()
+    assert same(again, block)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from photocal.adjustment.adjust import adjust
+from photocal.base.codec import same
 from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block
 from photocal.block.network import assemble
@@ -218,6 +219,75 @@ def test_a_mark_that_moves_lets_no_picture_be_searched_or_matched_again(
         np.sort(block.observations.values[block.observations.point == place, 0]) for block in (before, after)
     ]
     assert np.abs(of_mark[1] - of_mark[0]).max() == pytest.approx(0.6)
+
+
+def _replaced(name: str, old: str, new: str) -> Callable[[Path], None]:
+    """A change of a file of a site, first place only."""
+
+    def change(folder: Path) -> None:
+        text = (folder / name).read_text()
+        assert old in text
+        (folder / name).write_text(text.replace(old, new, 1))
+
+    return change
+
+
+def _without_first(folder: Path) -> None:
+    (folder / "images" / "p1.png").rename(folder / "p1.png")
+
+
+CHANGES: dict[str, Callable[[Path], None]] = {
+    "a mark moved": _replaced("marks.csv", "p2.png,P5,301", "p2.png,P5,302"),
+    "its sigma": _replaced("marks.csv", ",0.3,0.3", ",0.9,0.9"),
+    "a role": _replaced("control.csv", ",check", ",control"),
+    "a coordinate": _replaced("control.csv", ",0.0,0.01", ",0.02,0.01"),
+    "a standard deviation": _replaced("control.csv", ",0.01,0.01,0.01,", ",0.05,0.05,0.05,"),
+    "an option of the camera": _replaced("project.toml", '["c", "K1"]', '["c", "K1", "K2"]'),
+    "its principal distance": _replaced("project.toml", "c = 4.5", "c = 4.45"),
+    "a picture out": _without_first,
+}
+
+
+@pytest.fixture(scope="module")
+def measured_once(
+    site: tuple[Path, Site, dict[str, tuple[float, float]]], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, Path, Block]:
+    """A site that was measured, the cache of that, and the block."""
+    folder, cache = tmp_path_factory.mktemp("once") / "site", tmp_path_factory.mktemp("cache")
+    shutil.copytree(site[0], folder)
+    options = MeasureOptions(workers=1, cache=cache)
+    return folder, cache, measure(read_project(folder / "project.toml"), options).block
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_changes_is_measured_as_from_nothing(
+    measured_once: tuple[Path, Path, Block], tmp_path: Path, change: str
+) -> None:
+    once, cache, before = measured_once
+    shutil.copytree(once, tmp_path / "site")
+    CHANGES[change](tmp_path / "site")
+    project = read_project(tmp_path / "site" / "project.toml")
+    again, new = (
+        measure(project, MeasureOptions(workers=1, cache=folder)).block
+        for folder in (cache, tmp_path / "new")
+    )
+    assert same(again, new)
+    assert not same(again, before)
+
+
+@pytest.mark.slow
+def test_a_picture_that_comes_back_is_measured_as_from_nothing(
+    site: tuple[Path, Site, dict[str, tuple[float, float]]], tmp_path: Path
+) -> None:
+    folder = tmp_path / "site"
+    shutil.copytree(site[0], folder)
+    _without_first(folder)
+    project, options = read_project(folder / "project.toml"), MeasureOptions(workers=1, cache=tmp_path / "a")
+    assert "p1.png" not in measure(project, options).block.images.names
+    (folder / "p1.png").rename(folder / "images" / "p1.png")
+    new = measure(project, replace(options, cache=tmp_path / "b")).block
+    assert same(measure(project, options).block, new)
 
 
 @pytest.mark.slow

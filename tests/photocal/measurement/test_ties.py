@@ -16,7 +16,7 @@ from pyproj import Geod
 
 from photocal.base.workers import run_tasks
 from photocal.block.folder import read_block
-from photocal.measurement.features import Features, FeatureSettings, cached, detect
+from photocal.measurement.features import Features, FeatureSettings, cached, detect, made_once
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_pairs import footprints, select_pairs
 from photocal.measurement.match_images import (
@@ -248,6 +248,29 @@ def test_cached_results_are_not_made_again_and_damage_is_repaired(tmp_path: Path
     (tmp_path / "ab" / "ab12.npz").write_bytes(b"PK\x03\x04 damaged")
     assert cached(tmp_path, "ab12", ("a",), make)["a"].tolist() == [0, 1, 2]
     assert len(made) == 2
+
+
+def test_an_object_is_made_anew_of_other_data_and_by_other_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = []
+
+    def of(given: NDArray[np.float64]) -> tuple[str, float]:
+        """What is made of some numbers, or was once."""
+
+        def make() -> tuple[str, float]:
+            made.append(given)
+            return str(given.shape), float(given.sum())
+
+        return made_once(tmp_path, tuple[str, float], (given, "a"), make)
+
+    flat, square = np.array([1.0, np.inf, 3.0, 4.0]), np.array([[1.0, np.inf], [3.0, 4.0]])
+    for given in (flat, square, flat, square):
+        assert of(given) == (str(given.shape), np.inf)
+    assert len(made) == 2
+    monkeypatch.setattr("photocal.measurement.features.program", lambda _: {"version": "another"})
+    assert of(flat) == ("(4,)", np.inf)
+    assert len(made) == 3
 
 
 def test_workers_give_the_same_in_the_same_order() -> None:
