@@ -281,7 +281,7 @@ def left_by_movement(network: Network, solution: Solution) -> float:
     if not doubtful or network.exposures.motion is None:
         return 1.0
     try:
-        minimum = minimum_of(_with(network, doubtful), None, solution.state)[1]
+        minimum = minimum_of(_with(network, doubtful), None, solution.state, _ROUGHLY)[1]
     except (IllPosedError, NotConvergedError):
         return 1.0
     return minimum.iterations[-1].chi_squared / solution.chi_squared

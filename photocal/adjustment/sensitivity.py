@@ -238,7 +238,7 @@ def point_effects(
 
     def work(piece: int) -> None:
         """The rays of one piece; pieces run side by side."""
-        room = room_of(design, cofactors, piece)
+        room = room_of(design, cofactors)
         point_effects_piece(design, values, cofactors, piece, covariance, effect, room)
 
     each_piece(len(design.pieces) - 1, work)

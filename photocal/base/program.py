@@ -41,9 +41,16 @@ def _program(start: str) -> dict[str, str]:
     rooms = {known[name].parent for name in ours}
     data = {path for room in rooms for path in room.iterdir() if path.suffix != ".py"}
     for path in sorted({known[name] for name in needed} | {path for path in data if path.is_file()}):
+        state = path.stat()
         digest.update(path.name.encode())
-        digest.update(path.read_bytes())
+        digest.update(_content(path, state.st_mtime_ns, state.st_size))
     return {"version": __version__, "source": digest.hexdigest()}
+
+
+@functools.cache
+def _content(path: Path, *_: int) -> bytes:
+    """SHA-256 of a file, which is read once while it keeps its time and size."""
+    return hashlib.sha256(path.read_bytes()).digest()
 
 
 def needed_modules(start: str, known: Mapping[str, Path]) -> set[str]:

@@ -247,9 +247,13 @@ def _sigma_of_the_kept(squares: Floats, redundancy: Floats) -> float:
     share = squares / redundancy
     # Such shares are exponential in units of the variance: their median is ln 2 of it.
     variance = float(np.median(share) / np.log(2))
-    # It has settled long before.
-    rounds = 8
+    # It has mostly settled long before.
+    rounds, kept = 8, -1
     for _ in range(rounds):
         good = share <= GROSS**2 * variance
+        # As many as before of those that fit best are the same.
+        before, kept = kept, np.count_nonzero(good)
+        if kept == before:
+            break
         variance = float(squares[good].sum() / redundancy[good].sum())
     return float(np.sqrt(variance))

@@ -1,10 +1,12 @@
 """Stage `block`: what was measured in the images and what GNSS and inertial unit observed, in one folder."""
 
+from __future__ import annotations
+
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,9 +22,10 @@ from photocal.findings.finding import Finding
 from photocal.findings.listed import Findings
 from photocal.geometry.rotation import object_to_body
 from photocal.geometry.strips import strips
-from photocal.navigation.exposure_files import projected, with_images
-from photocal.navigation.exposures import Exposures
 from photocal.run.stage import Stage, pictures_of
+
+if TYPE_CHECKING:
+    from photocal.navigation.exposures import Exposures
 
 # What is to be said of a block as it was joined.
 FINDINGS = "findings.json"
@@ -105,6 +108,8 @@ def _flown(block: Block, exposures: Path, keys: MountingKeys, crs: str) -> Block
             }
         )
 
+    from photocal.navigation.exposures import Exposures
+
     antenna = Exposures.read(exposures / EXPOSURES)
     positions = observed_positions(antenna, block.images.names, crs, keys.height_scale_from_m or 0.0)
     return replace(
@@ -124,6 +129,8 @@ def observed_positions(
     above_from_m: height of the base station's antenna.
     raises InputMalformedError: for a position without covariance.
     """
+    from photocal.navigation.exposure_files import projected, with_images
+
     rows = with_images(antenna)
     p, seconds = antenna.placed.rows(rows), (antenna.time.ns[rows] - antenna.time.ns[rows[:1]]) / 1e9
     xyz, turn = projected(p.lat_deg, p.lon_deg, p.height_m, crs)
@@ -147,6 +154,8 @@ def observed_attitudes(antenna: Exposures, images: tuple[str, ...]) -> Attitudes
 
     raises InputMalformedError: for an attitude without standard deviations.
     """
+    from photocal.navigation.exposure_files import with_images
+
     rows = with_images(antenna)
     event, image = _taken(antenna, rows[antenna.attitude.known[rows]], images)
     angles, sigma = antenna.angles[event], antenna.angle_sigma[event]

@@ -10,8 +10,6 @@ from photocal.base.files import write_json
 from photocal.base.progress import Progress
 from photocal.block.project import Project
 from photocal.navigation.common_errors import CommonErrors
-from photocal.navigation.exposure_files import with_images
-from photocal.navigation.exposures import Exposures
 from photocal.navigation.ppk_result import FIGURES as PPK_FIGURES
 from photocal.navigation.ppk_result import PpkFigures
 from photocal.run.ppk import TRAJECTORY, ppk_stage
@@ -78,6 +76,7 @@ def exposures_stage(project: Project, ppk: Path) -> Stage:
 def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
     from photocal.navigation.exposure_files import (
         plot_exposures,
+        with_images,
         write_block_images,
         write_exposures,
         write_geo_txt,
@@ -146,6 +145,8 @@ def exposures_of(project: Project, show: Progress) -> "tuple[ExposureRun, Camera
 
 def fixes_of_images(path: Path) -> dict[str, str] | None:
     """Whether the position of each image was fixed, float or single, by name; None without a flight."""
+    from photocal.navigation.exposures import Exposures
+
     if not path.is_file():
         return None
     exposures = Exposures.read(path)

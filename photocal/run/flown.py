@@ -31,8 +31,6 @@ from photocal.planning.flown_output import against_plan, write_flown
 from photocal.planning.options import FlownOptions
 from photocal.planning.position_map import position_differences, write_positions
 from photocal.products.oriented import oriented
-from photocal.products.ortho_job import heights_of, system_of
-from photocal.products.raster import describe, terrain_source
 from photocal.report.derived_figures import NADIR_DEG
 from photocal.run.stage import Stage, pictures_of
 
@@ -139,6 +137,9 @@ def _of_terrain(hit: Floats, model: Block, frame: LocalFrame, path: Path, height
 
     raises ConfigurationError: when block and model differ in their systems or kinds of heights.
     """
+    from photocal.products.ortho_job import heights_of, system_of
+    from photocal.products.raster import describe, terrain_source
+
     raster = describe(path)
     kind = heights_of(raster, model, heights)
     system_of(raster, model, None)

@@ -54,10 +54,9 @@ class Rows(NamedTuple):
     other: Floats
 
 
-def most_rays(design: Design, piece: int) -> int:
-    """Largest number of rays of a point among one piece's points, at least 1."""
-    points = design.order[design.pieces[piece] : design.pieces[piece + 1]]
-    return int(np.max(design.ray_start[points + 1] - design.ray_start[points], initial=1))
+def most_rays(design: Design) -> int:
+    """Largest number of rays of a point, at least 1."""
+    return int(np.max(np.diff(design.ray_start), initial=1))
 
 
 @inlined
@@ -278,7 +277,7 @@ def accumulate(
 
     def work(piece: int) -> None:
         """One piece of the rays, or one share of the strips: they run side by side."""
-        rays, lens, wide = most_rays(design, piece), structure.lens + 1, width(design)
+        rays, lens, wide = most_rays(design), structure.lens + 1, width(design)
         shapes = (rays, 2, wide), (rays, 2, 3), (rays, 2, lens), (3, lens), (2, lens), (2, 3), (2, wide)
         rows = Rows(scratch(wide), np.zeros((3, 3)), *map(np.zeros, shapes))
         totals[piece] = accumulate_piece(design, values, structure, damping, piece, parts[piece], kept, rows)

@@ -158,9 +158,9 @@ def statistics_piece(
                 redundancy[r, a] = 1.0 - design.weight[r, a] * variance
 
 
-def room_of(design: Design, cofactors: Cofactors, piece: int) -> PointRoom:
-    """Make room for any point of one piece and all that its rays touch."""
-    size = width(design) * most_rays(design, piece) + cofactors.structure.border
+def room_of(design: Design, cofactors: Cofactors) -> PointRoom:
+    """Make room for any point and all that its rays touch."""
+    size = width(design) * most_rays(design) + cofactors.structure.border
     return point_room(width(design), size)
 
 
@@ -181,7 +181,7 @@ def statistics(
 
     def work(piece: int) -> None:
         """Residuals and redundancy of one piece; pieces run side by side."""
-        room = room_of(design, cofactors, piece)
+        room = room_of(design, cofactors)
         statistics_piece(design, values, cofactors, piece, point_covariance, residuals, redundancy, room)
 
     each_piece(len(design.pieces) - 1, work)
