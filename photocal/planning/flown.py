@@ -107,10 +107,22 @@ def ground_through(images: OrientedImages, points: Floats) -> GroundCells:
         )
     ground = level_ground(images, float(np.median(points[:, 2])))
     plane = ground.places[:, :2]
-    inner = LinearNDInterpolator(points[:, :2], points[:, 2])(plane)
-    outer = NearestNDInterpolator(points[:, :2], points[:, 2])(plane)
-    ground.places[:, 2] = np.where(np.isfinite(inner), inner, outer)
+    between = _in_hull(plane, points[:, :2])
+    ground.places[:, 2] = NearestNDInterpolator(points[:, :2], points[:, 2])(plane)
+    inner = LinearNDInterpolator(points[:, :2], points[:, 2])(plane[between])
+    ground.places[between, 2] = np.where(np.isfinite(inner), inner, ground.places[between, 2])
     return ground
+
+
+def _in_hull(places: Floats, points: Floats) -> Flags:
+    """Places within the convex hull of points: a triangulation tries all of its triangles for each beyond.
+
+    raises QhullError: for points in a line.
+    """
+    from scipy.spatial import ConvexHull
+
+    side = ConvexHull(points).equations
+    return np.asarray((places @ side[:, :2].T + side[:, 2] <= 0.0).all(axis=1))
 
 
 def cells_seen(images: OrientedImages, ground: GroundCells) -> list[Integers]:
@@ -285,10 +297,10 @@ def _side_overlaps(
 
 def _below_the_flight(station: Floats, ground: GroundCells) -> Flags:
     """Cells within the hull of the stations; of a single strip, those within a cell of it."""
-    from scipy.spatial import Delaunay, QhullError
+    from scipy.spatial import QhullError
 
     try:
-        return np.asarray(Delaunay(station[:, :2]).find_simplex(ground.places[:, :2]) >= 0)
+        return _in_hull(ground.places[:, :2], station[:, :2])
     except (QhullError, ValueError):
         apart = np.linalg.norm(ground.places[:, None, :2] - station[None, :, :2], axis=2).min(axis=1)
         return np.asarray(apart <= ground.cell_m)
