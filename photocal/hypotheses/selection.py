@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from photocal.adjustment.removed import MOST_REMOVALS
 from photocal.base.errors import IllPosedError
 from photocal.base.policy import policy
 from photocal.hypotheses.agreement import agreed
@@ -13,8 +14,9 @@ from photocal.hypotheses.table import Fault
 
 # Causes that are accepted beside each other in one system.
 _CAUSES = 4
-# Causes about which images are asked at once: leaving an image out costs more than one field beside another.
-_ASKED = 4
+# Causes about which images are asked at once. Few images are left out one by one, which costs as much as
+# some twenty fields beside another; the sandwich of many costs as much for each field.
+_ASKED, _ASKED_OF_FEW = 4, 16
 
 
 @dataclass(frozen=True)
@@ -95,8 +97,10 @@ class Selection:
             cause for cause, tested in tries.items() if tested.significant and _noteworthy(cause, tested)
         ]
         ranked = sorted(significant, key=lambda one: -_probable(one, tries[one]))
-        for first in range(0, len(ranked), _ASKED):
-            some = ranked[first : first + _ASKED]
+        images = len(self.these.adjusted.network.image_names)
+        at_once = _ASKED_OF_FEW if images <= MOST_REMOVALS else _ASKED
+        for first in range(0, len(ranked), at_once):
+            some = ranked[first : first + at_once]
             self._ask_images({cause: tries[cause] for cause in some})
             for cause in some:
                 if self._agreed.get(cause.key, True):

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from photocal.adjustment.envelope import on_one_thread
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import IllPosedError
 from photocal.geometry.oriented_images import OrientedImages
@@ -93,6 +94,7 @@ def flown_block(
     return FlownBlock(images.names, strip, height, gsd, tilt, forward, side, smear, ground, rays, inside)
 
 
+@on_one_thread
 def ground_through(images: OrientedImages, points: Floats) -> GroundCells:
     """Take the ground through measured points, shape (n, 3): linear between them, the nearest beyond.
 
