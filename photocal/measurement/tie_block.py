@@ -252,7 +252,7 @@ def _sigma_of_the_kept(squares: Floats, redundancy: Floats) -> float:
     for _ in range(rounds):
         good = share <= GROSS**2 * variance
         # As many as before of those that fit best are the same.
-        before, kept = kept, np.count_nonzero(good)
+        before, kept = kept, int(np.count_nonzero(good))
         if kept == before:
             break
         variance = float(squares[good].sum() / redundancy[good].sum())

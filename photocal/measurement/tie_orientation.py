@@ -4,7 +4,6 @@ The shape of a block comes from its rays; what images say of their positions, wh
 metres, only places it. So a wrong position bends nothing and can be distinguished from the others.
 """
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from photocal.adjustment.network import Rays
-from photocal.adjustment.start.bearings import Bearings, bearings
-from photocal.adjustment.start.model import LENS, Model, empty_model, held_to_given, misfit, support
+from photocal.adjustment.start.bearings import bearings
+from photocal.adjustment.start.model import LENS, Model, held_to_given, misfit, support
 from photocal.adjustment.start.values import free_models
-from photocal.base.arrays import Flags, Floats, as_plain
+from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import IllPosedError
 from photocal.block.model import Block, Images
 from photocal.block.network import block_frame, observed_plane
@@ -25,12 +24,10 @@ from photocal.geometry.camera import Camera
 from photocal.geometry.localisation import Similarity, aligned_similarity, misses_of, robust_similarity
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
-from photocal.measurement.features import Arrays, array_key, cached, combined_key
+from photocal.measurement.features import made_once
 from photocal.measurement.tie_block import POSITION_SIGMA_M, views_of, with_ties
 from photocal.measurement.tracks import Tracks
 
-# Raised whenever the meaning of cached models changes.
-VERSION = 1
 # The principal distance that was given is kept where the rays fit it so well, and meet in threes so often,
 # as the one that they would choose: flat ground seen from one height says next to nothing about it, and what
 # the model of the camera lacks biases it. Beyond these shares of it, it is never believed.
@@ -74,7 +71,8 @@ def oriented(block: Block, tracks: Tracks, cache: Path | None = None) -> Placed:
     whole = with_ties(block, tracks, np.full((tracks.count, 3), np.nan), np.ones(len(tracks.track)))
     cameras = tuple(replace(camera, estimated=camera.estimated | LENS) for camera in block.cameras)
     seen = bearings(cameras, block.images.camera, len(whole.points.names), _rays(whole))
-    models = free_models(seen) if cache is None else _kept_models(seen, cache)
+    # Made once: they do not depend on marks and positions.
+    models = made_once(cache, tuple[Model, ...], seen, lambda: tuple(free_models(seen)))
     if not models or models[0].oriented.sum() < 2:
         raise IllPosedError(
             "the images cannot be oriented by tie points: no two of them show the same places from two sides",
@@ -121,34 +119,6 @@ def oriented(block: Block, tracks: Tracks, cache: Path | None = None) -> Placed:
     if (determined or turn > 0) and block.datum == "control":
         block = replace(block, images=reweighted(block.images, poses, shifted=False))
     return block, poses, tuple(reasons), tuple(findings)
-
-
-def _kept_models(seen: Bearings, cache: Path) -> list[Model]:
-    """Models from relative orientation alone, made once: they do not depend on marks and positions."""
-    rays, cameras = seen.rays, json.dumps(as_plain(seen.cameras))
-    numbers = array_key(seen.camera_of, rays.image, rays.point, rays.plane, rays.sigma)
-    nothing = empty_model(seen, np.full((seen.points, 3), np.nan))
-
-    def make() -> Arrays:
-        """Find the models, and pile up what they consist of."""
-        found = free_models(seen)
-        values = [[camera.values for camera in model.bearings.cameras] for model in found]
-        return {
-            "rotation": np.array([model.rotation for model in found]),
-            "centre": np.array([model.centre for model in found]),
-            "points": np.array([model.points for model in found]),
-            "cameras": np.array(values),
-        }
-
-    key = combined_key(VERSION, "free models", seen.points, cameras, numbers)
-    held = cached(cache, key, ("rotation", "centre", "points", "cameras"), make)
-    models = []
-    for rotation, centre, points, values in zip(*held.values(), strict=True):
-        adjusted = tuple(map(Camera.with_values, seen.cameras, values))
-        models.append(
-            replace(nothing, bearings=seen.by(adjusted), rotation=rotation, centre=centre, points=points)
-        )
-    return models
 
 
 def _rays(block: Block) -> Rays:
