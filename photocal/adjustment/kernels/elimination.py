@@ -274,10 +274,10 @@ def accumulate(
     parts: receive what each piece gives.
     """
     totals = np.zeros(len(parts))
+    rays, lens, wide = most_rays(design), structure.lens + 1, width(design)
 
     def work(piece: int) -> None:
         """One piece of the rays, or one share of the strips: they run side by side."""
-        rays, lens, wide = most_rays(design), structure.lens + 1, width(design)
         shapes = (rays, 2, wide), (rays, 2, 3), (rays, 2, lens), (3, lens), (2, lens), (2, 3), (2, wide)
         rows = Rows(scratch(wide), np.zeros((3, 3)), *map(np.zeros, shapes))
         totals[piece] = accumulate_piece(design, values, structure, damping, piece, parts[piece], kept, rows)
