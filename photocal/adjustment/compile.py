@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from photocal.adjustment.adjust import adjust
+from photocal.adjustment.adjusted import fit
 from photocal.adjustment.factored import factored
+from photocal.adjustment.leverage import cameras_without
 from photocal.adjustment.near import Removals
 from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, Relations, point_weights
 from photocal.adjustment.score import followed_by, score
@@ -48,6 +50,7 @@ def compile_usual() -> None:
     ones = score(at, solution.residuals, np.ones((1, *solution.residuals.shape)))
     followed_by(at, ones.steps, ones.moved)
     Removals(at).stepped(np.array([True, False]), 1.0)
+    cameras_without(fit(network, solution.state), [np.array([True, False])])
     # A free network with a scale bar passes through what the datum and kept points need.
     points = network.points.values
     length = np.linalg.norm(points[15:] - points[:1], axis=1)

@@ -267,19 +267,16 @@ def full_solution(
     problem: Problem, normal: Normal, reduced_right: Floats, point_right: Floats
 ) -> tuple[Floats, Floats]:
     """Solve the full normal equations for one right-hand side, or for several along the first axis."""
-    layout, threads = problem.layout, len(problem.design.pieces) - 1
-    right = np.ascontiguousarray(point_right).reshape(-1, len(problem.design.point_free), 3)
+    layout, design, envelope = problem.layout, problem.design, problem.layout.envelope
+    right = np.ascontiguousarray(point_right).reshape(-1, len(design.point_free), 3)
     reduced = np.array(reduced_right).reshape(len(right), -1)
-    for reduced_row, of_points in zip(reduced, right, strict=True):
-        if of_points.any():
-            taken = np.zeros((threads, layout.size))
-            reduce_right(problem.design, problem.layout.envelope, of_points, normal.kept, taken)
-            reduced_row += taken.sum(axis=0)
+    if right.any():
+        taken = np.zeros((len(design.pieces) - 1, *reduced.shape))
+        reduce_right(design, envelope, right, normal.kept, taken)
+        reduced += taken.sum(axis=0)
     reduced[:, problem.held] = 0.0
-    steps = np.ascontiguousarray(solve(layout.envelope, normal.matrix, reduced.T).T)
+    steps = np.ascontiguousarray(solve(envelope, normal.matrix, reduced.T).T)
     points = np.zeros_like(right)
-    for step, of_points, moved in zip(steps, right, points, strict=True):
-        kept = normal.kept._replace(gradient=-of_points)
-        back_substitute(problem.design, problem.layout.envelope, step, kept, moved, np.zeros(threads))
-        moved[layout.kept_points] = step[layout.point_columns]
+    back_substitute(design, envelope, steps, normal.kept, -right, points)
+    points[:, layout.kept_points] = steps[:, layout.point_columns]
     return steps.reshape(np.shape(reduced_right)), points.reshape(np.shape(point_right))

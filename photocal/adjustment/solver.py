@@ -215,7 +215,7 @@ def _around_the_bend(problem: Problem, normal: Normal, state: State, step: Float
     """
     design, structure, layout = problem.design, problem.layout.envelope, problem.layout
     points, threads = np.zeros_like(state.points), len(design.pieces) - 1
-    back_substitute(design, structure, step, normal.kept, points, np.zeros(threads))
+    back_substitute(design, structure, step, normal.kept, normal.kept.gradient, points)
     points[layout.kept_points] = step[layout.point_columns]
     here, there, change = np.zeros((3, *design.plane.shape))
     depth, values = np.zeros(len(design.plane)), values_of(problem, state)
@@ -352,11 +352,11 @@ def moved_by(problem: Problem, state: State, normal: Normal, step: Floats) -> tu
     """State after a step and the step's squared length in units of the standard deviations."""
     moved = moved_exposures(problem.network, problem.layout, state, step)
     points = state.points.copy()
-    decreases = np.zeros(len(problem.design.pieces) - 1)
-    back_substitute(problem.design, problem.layout.envelope, step, normal.kept, points, decreases)
+    kept = normal.kept
+    decrease = back_substitute(problem.design, problem.layout.envelope, step, kept, kept.gradient, points)
     points[problem.layout.kept_points] += step[problem.layout.point_columns]
     moved = round_the_middle(problem.network, state, replace(moved, points=points))
-    return moved, float(decreases.sum() - normal.gradient @ step)
+    return moved, float(decrease - normal.gradient @ step)
 
 
 @dataclass(frozen=True)

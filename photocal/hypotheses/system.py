@@ -15,7 +15,6 @@ from photocal.adjustment.covariance import Shared
 from photocal.adjustment.datum import full_solution
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.factored import Factored
-from photocal.adjustment.joint import AT_ONCE
 from photocal.adjustment.score import pulled
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError
@@ -174,17 +173,30 @@ def _of_positions(at: Factored, fields: Floats) -> tuple[Floats, Floats]:
 
 
 def _of_control(at: Factored, point: Integers, rows: Floats) -> tuple[Floats, Floats]:
-    """How all unknowns follow errors of control: reduced part (k, size), these points (k, k, 3)."""
-    layout = at.problem.layout
-    steps, moved = np.zeros((len(point), layout.size)), np.zeros((len(point), len(point), 3))
-    for first in range(0, len(point), AT_ONCE):
-        part = np.arange(first, min(first + AT_ONCE, len(point)))
-        places = np.zeros((len(part), *at.state.points.shape))
-        places[np.arange(len(part)), point[part]] = rows[part]
-        reduced = np.zeros((len(part), layout.size))
-        reduced[:, layout.point_columns] += places[:, layout.kept_points]
-        steps[part], everywhere = full_solution(at.problem, at.normal, reduced, places)
-        moved[part] = everywhere[:, point]
+    """How all unknowns follow errors of control: reduced part (k, size), these points (k, k, 3).
+
+    Of all points only these few have a part in it: they are eliminated by themselves.
+    """
+    layout, design, kept = at.problem.layout, at.problem.design, at.normal.kept
+    border = layout.envelope.band + np.arange(layout.envelope.lens)
+    reduced, moved = np.zeros((len(point), layout.size)), np.zeros((len(point), len(point), 3))
+    touched = []
+    for j, right, given in zip(point, reduced, rows, strict=True):
+        own = slice(design.ray_start[j], design.ray_start[j + 1])
+        images = design.image_column[design.ray_image[own], None] + np.arange(layout.width)
+        mixed = np.hstack([np.moveaxis(kept.mixed[own], 1, 0).reshape(3, -1), kept.mixed_border[j]])
+        columns = np.concatenate([images.ravel(), border])
+        touched.append((columns, mixed))
+        np.subtract.at(right, columns, (kept.inverse[j] @ given) @ mixed)
+        if (stays := design.point_column[j]) >= 0:
+            right[layout.envelope.band + stays + np.arange(3)] += given
+    reduced[:, at.problem.held] = 0.0
+    steps = np.ascontiguousarray(solve(layout.envelope, at.normal.matrix, reduced.T).T)
+    for i, (j, (columns, mixed)) in enumerate(zip(point, touched, strict=True)):
+        pull = np.where((point == j)[:, None], rows, 0.0) - steps[:, columns] @ mixed.T
+        moved[:, i] = pull @ kept.inverse[j]
+        if (stays := design.point_column[j]) >= 0:
+            moved[:, i] = steps[:, layout.envelope.band + stays + np.arange(3)]
     return steps, moved
 
 

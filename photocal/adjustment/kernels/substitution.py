@@ -7,40 +7,57 @@ from photocal.base.compiled import compiled, each_piece
 
 @compiled
 def back_substitute_piece(
-    design: Design, structure: Structure, step: Floats, kept: Eliminated, piece: int, points: Floats
+    design: Design,
+    structure: Structure,
+    step: Floats,
+    kept: Eliminated,
+    gradient: Floats,
+    piece: int,
+    points: Floats,
 ) -> float:
     """Move one piece's points; returns g'V^-1 g, see `back_substitute`."""
     decrease, band = 0.0, structure.band
     for j in range(design.spans[piece], design.spans[piece + 1]):
-        g0, g1, g2 = kept.gradient[j, 0], kept.gradient[j, 1], kept.gradient[j, 2]
-        c0, c1, c2 = g0, g1, g2
-        for r in range(design.ray_start[j], design.ray_start[j + 1]):
-            column = design.image_column[design.ray_image[r]]
-            for b in range(columns(design)):
-                c0 += kept.mixed[r, 0, b] * step[column + b]
-                c1 += kept.mixed[r, 1, b] * step[column + b]
-                c2 += kept.mixed[r, 2, b] * step[column + b]
-        for s in range(structure.lens):
-            c0 += kept.mixed_border[j, 0, s] * step[band + s]
-            c1 += kept.mixed_border[j, 1, s] * step[band + s]
-            c2 += kept.mixed_border[j, 2, s] * step[band + s]
-        for a in range(3):
-            q0, q1, q2 = kept.inverse[j, a, 0], kept.inverse[j, a, 1], kept.inverse[j, a, 2]
-            points[j, a] -= q0 * c0 + q1 * c1 + q2 * c2
-            decrease += kept.gradient[j, a] * (q0 * g0 + q1 * g1 + q2 * g2)
+        # What is kept of a point stays near the processor until all steps have used it.
+        for t in range(len(step)):
+            g0, g1, g2 = gradient[t, j, 0], gradient[t, j, 1], gradient[t, j, 2]
+            c0, c1, c2 = g0, g1, g2
+            for r in range(design.ray_start[j], design.ray_start[j + 1]):
+                column = design.image_column[design.ray_image[r]]
+                for b in range(columns(design)):
+                    c0 += kept.mixed[r, 0, b] * step[t, column + b]
+                    c1 += kept.mixed[r, 1, b] * step[t, column + b]
+                    c2 += kept.mixed[r, 2, b] * step[t, column + b]
+            for s in range(structure.lens):
+                c0 += kept.mixed_border[j, 0, s] * step[t, band + s]
+                c1 += kept.mixed_border[j, 1, s] * step[t, band + s]
+                c2 += kept.mixed_border[j, 2, s] * step[t, band + s]
+            for a in range(3):
+                q0, q1, q2 = kept.inverse[j, a, 0], kept.inverse[j, a, 1], kept.inverse[j, a, 2]
+                points[t, j, a] -= q0 * c0 + q1 * c1 + q2 * c2
+                decrease += gradient[t, j, a] * (q0 * g0 + q1 * g1 + q2 * g2)
     return decrease
 
 
 def back_substitute(
-    design: Design, structure: Structure, step: Floats, kept: Eliminated, points: Floats, decreases: Floats
-) -> None:
-    """Move the points by the steps that belong to a step of the reduced system."""
+    design: Design, structure: Structure, step: Floats, kept: Eliminated, gradient: Floats, points: Floats
+) -> float:
+    """Move the points by the steps that belong to a step of the reduced system, or to several.
+
+    step (n,) or (t, n); gradient, points (points, 3) or (t, points, 3).
+    returns g'V^-1 g: what v'Pv falls by for the points' own sake.
+    """
+    decreases = [0.0] * (len(design.pieces) - 1)
+    step, gradient, points = (
+        one.reshape(-1, *one.shape[-axes:]) for one, axes in ((step, 1), (gradient, 2), (points, 2))
+    )
 
     def work(piece: int) -> None:
         """The points of one piece; pieces run side by side."""
-        decreases[piece] = back_substitute_piece(design, structure, step, kept, piece, points)
+        decreases[piece] = back_substitute_piece(design, structure, step, kept, gradient, piece, points)
 
     each_piece(len(decreases), work)
+    return sum(decreases)
 
 
 @compiled
@@ -50,23 +67,27 @@ def reduce_right_piece(
     """Eliminate one piece's points, see `reduce_right`."""
     band = structure.band
     for j in range(design.spans[piece], design.spans[piece + 1]):
-        b0, b1, b2 = right[j, 0], right[j, 1], right[j, 2]
-        for a in range(3):
-            x = kept.inverse[j, a, 0] * b0 + kept.inverse[j, a, 1] * b1 + kept.inverse[j, a, 2] * b2
-            if x == 0.0:
-                continue
-            for r in range(design.ray_start[j], design.ray_start[j + 1]):
-                column = design.image_column[design.ray_image[r]]
-                for b in range(columns(design)):
-                    reduced[column + b] -= kept.mixed[r, a, b] * x
-            for s in range(structure.lens):
-                reduced[band + s] -= kept.mixed_border[j, a, s] * x
+        for t in range(len(right)):
+            b0, b1, b2 = right[t, j, 0], right[t, j, 1], right[t, j, 2]
+            for a in range(3):
+                x = kept.inverse[j, a, 0] * b0 + kept.inverse[j, a, 1] * b1 + kept.inverse[j, a, 2] * b2
+                if x == 0.0:
+                    continue
+                for r in range(design.ray_start[j], design.ray_start[j + 1]):
+                    column = design.image_column[design.ray_image[r]]
+                    for b in range(columns(design)):
+                        reduced[t, column + b] -= kept.mixed[r, a, b] * x
+                for s in range(structure.lens):
+                    reduced[t, band + s] -= kept.mixed_border[j, a, s] * x
 
 
 def reduce_right(
     design: Design, structure: Structure, right: Floats, kept: Eliminated, reduced: Floats
 ) -> None:
-    """Eliminate the points from a right-hand side: what each piece takes off, (pieces, layout.size)."""
+    """Eliminate the points from several right-hand sides.
+
+    right (t, points, 3); reduced (pieces, t, layout.size): receives what each piece takes off.
+    """
 
     def work(piece: int) -> None:
         """The points of one piece; pieces run side by side."""
