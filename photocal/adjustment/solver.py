@@ -449,8 +449,9 @@ def chords(
             break
         state = moved_along(problem, state, step, moved)
         progress(chi_squared - length, length)
-        # Steps shrink at a steady rate: the next one tells how far the minimum still is.
-        left = length * min(1.0, length / before)
+        # Steps shrink at a steady rate: the next one tells how far the minimum still is. The way to where
+        # something is held is none of them.
+        left = length * (min(1.0, length / before) if steps or hold is None else 1.0)
         # Steps this short that do not become shorter are rounding.
         if left < near or (length < ROUNDING**2 and length > before / 2):
             return Near(state, chi_squared - length, max(left, 0.0))

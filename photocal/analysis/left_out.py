@@ -62,8 +62,8 @@ def without_parameter(fit: AdjustedNetwork, camera: int, parameter: int) -> Near
     if interior.prior_correlation is None:
         active, columns = fit.factored.problem.layout.camera_columns[camera]
         column = int(columns[active == parameter][0])
-        # Left of each adjustment, see `minimise`: 1e-5 standard deviations at most.
-        near = 1e-10
+        # Left of each adjustment, see `minimise`: 1e-3 standard deviations at most.
+        near = 1e-6
         found = with_held(fit.factored, column, -float(current[camera, parameter]), near)
         # Its prior goes with it; infinite where there is none.
         of_prior = float((interior.values[parameter] / interior.prior_sigma[parameter]) ** 2)
