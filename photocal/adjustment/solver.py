@@ -415,73 +415,71 @@ def chords(
     The curvature that the gradients show corrects the factor (limited-memory BFGS, Nocedal 1980): along
     weakly determined directions the curvature of the residuals matters, which normal equations leave out.
     """
+    size = problem.layout.size
 
-    def solved(right: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
-        """Solve for one right-hand side; an unknown that is held stays where it is."""
-        step, moved = full_solution(problem, normal, *right)
-        if hold is None:
-            return step, moved
-        column, along, along_points = hold
-        share = step[column] / along[column]
-        return step - share * along, moved - share * along_points
+    def solved(right: Floats) -> Floats:
+        """Solve for one right-hand side, points last; an unknown that is held stays where it is."""
+        step, moved = full_solution(problem, normal, right[:size], right[size:].reshape(-1, 3))
+        if hold is not None:
+            column, along, along_points = hold
+            share = step[column] / along[column]
+            step, moved = step - share * along, moved - share * along_points
+        return np.concatenate([step, moved.ravel()])
 
-    steps, changes = list[tuple[Floats, Floats]](), list[tuple[Floats, Floats]]()
-    last: tuple[Floats, Floats] | None = None
+    pairs, last, step = list[tuple[Floats, Floats, float]](), None, np.zeros(0)
     best, best_state = np.inf, state
     for _ in range(CHORDS):
         others = _others(problem, state) if equations is None else equations(state)
         try:
-            chi_squared, *slope = gradient(problem, state, others)
+            chi_squared, reduced, points = gradient(problem, state, others)
         except NotConvergedError:
             break
         if chi_squared < best:
             best, best_state = chi_squared, state
         # Points that stay in the reduced system stand in both parts.
-        slope[1][problem.layout.kept_points] = 0.0
+        points[problem.layout.kept_points] = 0.0
+        slope = np.concatenate([reduced, points.ravel()])
         if last is not None:
-            changes.append((slope[0] - last[0], slope[1] - last[1]))
-            if not _times(steps[-1], changes[-1]) > 0.0:
-                del steps[-1], changes[-1]
-        last = slope[0], slope[1]
-        step, moved = _mended(solved, steps, changes, last)
-        length = -_times(last, (step, moved))
+            curvature = _times(step, slope - last)
+            if curvature > 0.0:
+                pairs.append((step, slope - last, curvature))
+        step, rate_known = _mended(solved, pairs, slope), last is not None or hold is None
+        last = slope
+        length = -_times(slope, step)
         if not (0.0 <= length < FLATTER * before or length < ROUNDING):
             break
-        state = moved_along(problem, state, step, moved)
+        state = moved_along(problem, state, step[:size], step[size:].reshape(-1, 3))
         progress(chi_squared - length, length)
         # Steps shrink at a steady rate: the next one tells how far the minimum still is. The way to where
         # something is held is none of them.
-        left = length * (min(1.0, length / before) if steps or hold is None else 1.0)
+        left = length * (min(1.0, length / before) if rate_known else 1.0)
         # Steps this short that do not become shorter are rounding.
         if left < near or (length < ROUNDING**2 and length > before / 2):
             return Near(state, chi_squared - length, max(left, 0.0))
         before = length
-        steps.append((step, moved))
     return Near(best_state, best, before, reached=False)
 
 
-def _times(first: tuple[Floats, Floats], second: tuple[Floats, Floats]) -> float:
+def _times(first: Floats, second: Floats) -> float:
     # The library's product would wake all of its threads for each.
-    return float(np.einsum("n,n->", first[0], second[0]) + np.einsum("na,na->", first[1], second[1]))
+    return float(np.einsum("n,n->", first, second))
 
 
 def _mended(
-    solved: Callable[[tuple[Floats, Floats]], tuple[Floats, Floats]],
-    steps: list[tuple[Floats, Floats]],
-    changes: list[tuple[Floats, Floats]],
-    slope: tuple[Floats, Floats],
-) -> tuple[Floats, Floats]:
-    """Step against a slope, by a factor and by how slopes have changed along steps (Nocedal 1980)."""
-    right, shares = (-slope[0], -slope[1]), list[float]()
-    known = [(s, y, _times(s, y)) for s, y in zip(steps, changes, strict=True)]
-    for s, y, curvature in reversed(known):
+    solved: Callable[[Floats], Floats], pairs: list[tuple[Floats, Floats, float]], slope: Floats
+) -> Floats:
+    """Step against a slope, by a factor and by how slopes have changed along steps (Nocedal 1980).
+
+    pairs: steps, changes of the slope along them, and products of both.
+    """
+    right, shares = -slope, list[float]()
+    for s, y, curvature in reversed(pairs):
         shares.append(_times(s, right) / curvature)
-        right = right[0] - shares[-1] * y[0], right[1] - shares[-1] * y[1]
-    step, moved = solved(right)
-    for (s, y, curvature), share in zip(known, reversed(shares), strict=True):
-        more = share - _times(y, (step, moved)) / curvature
-        step, moved = step + more * s[0], moved + more * s[1]
-    return step, moved
+        right -= shares[-1] * y
+    step = solved(right)
+    for (s, y, curvature), share in zip(pairs, reversed(shares), strict=True):
+        step += (share - _times(y, step) / curvature) * s
+    return step
 
 
 def moved_along(problem: Problem, state: State, step: Floats, points: Floats) -> State:
