@@ -427,7 +427,7 @@ def chords(
         return np.concatenate([step, moved.ravel()])
 
     pairs, last, step = list[tuple[Floats, Floats, float]](), None, np.zeros(0)
-    best, best_state = np.inf, state
+    best, best_state, rates = np.inf, state, list[float]()
     for _ in range(CHORDS):
         others = _others(problem, state) if equations is None else equations(state)
         try:
@@ -443,16 +443,18 @@ def chords(
             curvature = _times(step, slope - last)
             if curvature > 0.0:
                 pairs.append((step, slope - last, curvature))
-        step, rate_known = _mended(solved, pairs, slope), last is not None or hold is None
-        last = slope
+        step = _mended(solved, pairs, slope)
         length = -_times(slope, step)
+        # The way to where something is held is no step of this kind.
+        if last is not None or hold is None:
+            rates.append(length / before)
+        last = slope
         if not (0.0 <= length < FLATTER * before or length < ROUNDING):
             break
         state = moved_along(problem, state, step[:size], step[size:].reshape(-1, 3))
         progress(chi_squared - length, length)
-        # Steps shrink at a steady rate: the next one tells how far the minimum still is. The way to where
-        # something is held is none of them.
-        left = length * (min(1.0, length / before) if rate_known else 1.0)
+        # Steps shrink at a steady rate, the slower of the last two: it tells how far the minimum still is.
+        left = length * min(1.0, max(rates[-2:], default=1.0))
         # Steps this short that do not become shorter are rounding.
         if left < near or (length < ROUNDING**2 and length > before / 2):
             return Near(state, chi_squared - length, max(left, 0.0))
