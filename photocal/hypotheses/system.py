@@ -179,24 +179,22 @@ def _of_control(at: Factored, point: Integers, rows: Floats) -> tuple[Floats, Fl
     """
     layout, design, kept = at.problem.layout, at.problem.design, at.normal.kept
     border = layout.envelope.band + np.arange(layout.envelope.lens)
-    reduced, moved = np.zeros((len(point), layout.size)), np.zeros((len(point), len(point), 3))
-    touched = []
-    for j, right, given in zip(point, reduced, rows, strict=True):
-        own = slice(design.ray_start[j], design.ray_start[j + 1])
+    reduced, touched = np.zeros((len(point), layout.size)), {}
+    for j in np.unique(point):
+        own, of_point = slice(design.ray_start[j], design.ray_start[j + 1]), np.flatnonzero(point == j)
         images = design.image_column[design.ray_image[own], None] + np.arange(layout.width)
         mixed = np.hstack([np.moveaxis(kept.mixed[own], 1, 0).reshape(3, -1), kept.mixed_border[j]])
-        columns = np.concatenate([images.ravel(), border])
-        touched.append((columns, mixed))
-        np.subtract.at(right, columns, (kept.inverse[j] @ given) @ mixed)
-        if (stays := design.point_column[j]) >= 0:
-            right[layout.envelope.band + stays + np.arange(3)] += given
+        columns, stays = np.concatenate([images.ravel(), border]), design.point_column[j]
+        touched[j] = of_point, columns, mixed, layout.envelope.band + stays + np.arange(3 * (stays >= 0))
+        np.subtract.at(reduced, (of_point[:, None], columns), rows[of_point] @ kept.inverse[j] @ mixed)
+        if stays >= 0:
+            reduced[of_point[:, None], touched[j][-1]] += rows[of_point]
     reduced[:, at.problem.held] = 0.0
     steps = np.ascontiguousarray(solve(layout.envelope, at.normal.matrix, reduced.T).T)
-    for i, (j, (columns, mixed)) in enumerate(zip(point, touched, strict=True)):
+    moved = np.zeros((len(point), len(point), 3))
+    for j, (of_point, columns, mixed, stays) in touched.items():
         pull = np.where((point == j)[:, None], rows, 0.0) - steps[:, columns] @ mixed.T
-        moved[:, i] = pull @ kept.inverse[j]
-        if (stays := design.point_column[j]) >= 0:
-            moved[:, i] = steps[:, layout.envelope.band + stays + np.arange(3)]
+        moved[:, of_point] = (steps[:, stays] if len(stays) else pull @ kept.inverse[j])[:, None]
     return steps, moved
 
 
