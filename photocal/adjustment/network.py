@@ -94,6 +94,11 @@ class Points(Columns):
         observed[known] &= strongest < rank[:, None]
         return observed
 
+    @cached_property
+    def known(self) -> Integers:
+        """Points of which something is observed."""
+        return np.flatnonzero(self.observed.any(axis=1))
+
 
 @dataclass(frozen=True)
 class Rays(Columns):

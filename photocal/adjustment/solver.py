@@ -381,9 +381,10 @@ def gradient(problem: Problem, state: State, equations: list[Equations]) -> tupl
     pulls(design, values_of(problem, state), structure, totals, reduced, points)
     if not np.all(np.isfinite(totals)):
         raise NotConvergedError("a point came to lie behind a camera", "check the start values")
-    off = state.points - design.prior_points
-    pull = np.einsum("nab,nb->na", design.prior_weight, off)
-    points += pull * design.point_free
+    known = problem.network.points.known
+    off = state.points[known] - design.prior_points[known]
+    pull = np.einsum("nab,nb->na", design.prior_weight[known], off)
+    points[known] += pull * design.point_free[known]
     total = reduced.sum(axis=0)
     total[layout.point_columns] += points[layout.kept_points]
     chi_squared = float(totals.sum() + np.sum(off * pull))

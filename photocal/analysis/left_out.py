@@ -144,8 +144,9 @@ def within_flight(fit: AdjustedNetwork, camera: int) -> tuple[Within, ...]:
     values, image = fit.solution.cameras[camera], fit.network.rays.image
     shares = np.array([third == k for k in range(1, PARTS)] + list(courses.values()))[:, image, None]
     names = ("c", "x0", "y0")
-    fields = [change_of(values, fit.computed, name) * shares for name in names]
-    scored = score(fit.factored, fit.solution.residuals, np.concatenate(fields))
+    changes = np.array([change_of(values, fit.computed, name) for name in names])
+    fields = (changes[:, None] * shares).reshape(-1, *fit.computed.shape)
+    scored = score(fit.factored, fit.solution.residuals, fields)
     tested = []
     for k, name in enumerate(names):
         rows = slice(k * len(shares), (k + 1) * len(shares))

@@ -4,7 +4,7 @@ import numpy as np
 
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Floats
 from photocal.base.policy import policy
 from photocal.geometry.refraction import apparent_rise
 from photocal.hypotheses.fields import RayField
@@ -17,10 +17,11 @@ def bent_rays(network: Network, state: State) -> tuple[RayField, ...]:
     """
     image, point = network.rays.image, network.rays.point
     apart = state.points[point] - state.centre[image]
-    camera_of_ray, listed = network.exposures.camera[image], list[RayField]()
+    rotation, camera_of_ray, listed = state.rotation[image], network.exposures.camera[image], list[RayField]()
+    q, c = np.einsum("nij,nj->ni", rotation, apart), state.cameras[camera_of_ray, :1]
     for code, refraction, most in (("refraction", 1.0, policy.refraction), ("earth-curvature", 0.0, 1.0)):
         rise = apparent_rise(apart, refraction, curved=not refraction)
-        raised = _raised(state, state.cameras[camera_of_ray, :1], image, apart, rise)
+        raised = _raised(c, q, rotation[:, :, 2] * rise[:, None])
         for k in range(len(network.cameras)):
             own = (camera_of_ray == k)[:, None]
             if own.any():
@@ -28,8 +29,9 @@ def bent_rays(network: Network, state: State) -> tuple[RayField, ...]:
     return tuple(listed)
 
 
-def _raised(state: State, c: Floats, image: Integers, apart: Floats, rise: Floats) -> Floats:
-    """Displacement on the image plane of points that seem to lie higher, distortion left out, (n, 2)."""
-    q = np.einsum("nij,nj->ni", state.rotation[image], apart)
-    dq = state.rotation[image][:, :, 2] * rise[:, None]
+def _raised(c: Floats, q: Floats, dq: Floats) -> Floats:
+    """Displacement on the image plane of points q in camera axes that seem to lie dq away, (n, 2).
+
+    Distortion is left out.
+    """
     return np.asarray(-c * (dq[:, :2] / q[:, 2:] - q[:, :2] * dq[:, 2:] / q[:, 2:] ** 2))

@@ -16,7 +16,6 @@ from photocal.adjustment.solution import Group
 from photocal.adjustment.state import State
 from photocal.base.arrays import Floats
 from photocal.base.policy import policy
-from photocal.geometry.rotation import skew
 
 # Less of a column than this, beside the exterior orientation, is not determined.
 INDEPENDENT = 1e-2
@@ -250,8 +249,14 @@ def pose_derivatives(fit: AdjustedNetwork, state: State) -> Floats:
     c = state.cameras[fit.network.exposures.camera[image], :1]
     apart = state.points[fit.network.rays.point] - state.centre[image]
     q = np.einsum("nij,nj->ni", state.rotation[image], apart)
-    by_q = np.zeros((len(q), 2, 3))
-    by_q[:, 0, 0] = by_q[:, 1, 1] = -c[:, 0] / q[:, 2]
-    by_q[:, :, 2] = c * q[:, :2] / q[:, 2:] ** 2
-    # A small turn t moves q by t x q.
-    return np.concatenate([-by_q @ skew(q), -by_q @ state.rotation[image]], axis=2)
+    scale, along = -c[:, 0] / q[:, 2], c * q[:, :2] / q[:, 2:] ** 2
+    columns, axes = np.zeros((len(q), 2, 6)), state.rotation[image]
+    for k, other in ((0, 1), (1, 0)):
+        # A small turn t moves q by t x q.
+        turned = columns[:, k, :3]
+        turned[:] = along[:, k, None] * np.column_stack([q[:, 1], -q[:, 0], np.zeros(len(q))])
+        sign = 1.0 - 2.0 * k
+        turned[:, other] += sign * scale * q[:, 2]
+        turned[:, 2] -= sign * scale * q[:, other]
+        columns[:, k, 3:] = -scale[:, None] * axes[:, k] - along[:, k, None] * axes[:, 2]
+    return columns
