@@ -36,7 +36,8 @@ def test_an_object_that_was_packed_is_the_same_again(tmp_path: Path) -> None:
     design = Design("small", images=4, per_image=20)
     fly(tmp_path / "block", design, Errors(), 0)
     block = read_block(tmp_path / "block")
-    np.savez(tmp_path / "kept.npz", **packed(block))
+    arrays: Any = packed(block)
+    np.savez(tmp_path / "kept.npz", **arrays)
     with np.load(tmp_path / "kept.npz", allow_pickle=False) as held:
         again = unpacked(Block, held)
     # Some of its standard deviations are infinite, some of its values are unknown.
