@@ -62,7 +62,7 @@ def without_parameter(fit: AdjustedNetwork, camera: int, parameter: int) -> Near
     if interior.prior_correlation is None:
         active, columns = fit.factored.problem.layout.camera_columns[camera]
         column = int(columns[active == parameter][0])
-        # Left of each adjustment, see `minimise`: 1e-3 standard deviations at most.
+        # Left of each adjustment, see `minimise`: some 1e-3 standard deviations.
         near = 1e-6
         found = with_held(fit.factored, column, -float(current[camera, parameter]), near)
         # Its prior goes with it; infinite where there is none.
