@@ -15,24 +15,27 @@ from photocal.geometry.lens import Scratch, scratch
 LEFT_OF_POINT = 1e-6
 
 
-class OfPoint(NamedTuple):
+class OfGroup(NamedTuple):
     """What a group's rays give to the normal equations of a point, and between it and the cameras.
 
+    sums (k, k + 1): what the group gives to the cameras, X'DX below and on the diagonal; last X'Dv.
     root (3, 3): lower one of the point's covariance; in its axes the point's normal matrix is the unit.
     left (3, 3): what is left of that without the group.
     across (3, k + 1): between the point and the cameras; last, what the residuals pull.
     ray (2, k + 1): changes of both coordinates of a ray; last, its residuals.
     """
 
+    sums: Floats
     root: Floats
     left: Floats
     across: Floats
     ray: Floats
 
 
-def room_of_point(count: int) -> OfPoint:
-    """Make room for one point and so many parameters of cameras."""
-    return OfPoint(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, count + 1)), np.zeros((2, count + 1)))
+def room_of_group(count: int) -> OfGroup:
+    """Make room for one group, a point of it and so many parameters of cameras."""
+    sums, of_rays = np.zeros((count, count + 1)), (np.zeros((3, count + 1)), np.zeros((2, count + 1)))
+    return OfGroup(sums, np.zeros((3, 3)), np.zeros((3, 3)), *of_rays)
 
 
 @inlined
@@ -53,7 +56,7 @@ def put_root(inverse: Floats, j: int, root: Floats) -> bool:
 
 
 @inlined
-def eliminate(left: Floats, across: Floats, pull: Floats, hold: Floats, group: int) -> None:
+def eliminate(left: Floats, across: Floats, sums: Floats) -> None:
     """Eliminate a point, the largest pivot first; where nothing is left of it, it had no pull either."""
     count = across.shape[1] - 1
     for _ in range(3):
@@ -74,9 +77,9 @@ def eliminate(left: Floats, across: Floats, pull: Floats, hold: Floats, group: i
                     across[a, s] -= share * across[p, s]
         for s in range(count):
             scaled = across[p, s] / pivot
-            pull[group, s] += scaled * across[p, count]
+            sums[s, count] += scaled * across[p, count]
             for t in range(s + 1):
-                hold[group, s, t] += scaled * across[p, t]
+                sums[s, t] += scaled * across[p, t]
         for a in range(3):
             left[a, p] = left[p, a] = 0.0
 
@@ -85,30 +88,25 @@ def eliminate(left: Floats, across: Floats, pull: Floats, hold: Floats, group: i
 def left_out_group(
     design: Design,
     values: Values,
-    order: Integers,
-    begin: int,
-    end: int,
+    rays: Integers,
     ray_point: Integers,
     changes: Floats,
     inverse: Floats,
-    group: int,
-    pull: Floats,
-    hold: Floats,
     room: Scratch,
-    of_point: OfPoint,
+    of_group: OfGroup,
 ) -> None:
     """Sums over one group's rays, see `left_out_groups`."""
-    root, left, across, ray = of_point
-    count, at = changes.shape[2], begin
+    sums, root, left, across, ray = of_group
+    count, at, end = changes.shape[2], 0, len(rays)
     while at < end:
-        j = ray_point[order[at]]
+        j = ray_point[rays[at]]
         stays = not put_root(inverse, j, root)
         left[:] = 0.0
         across[:] = 0.0
         for a in range(3):
             left[a, a] = 1.0
-        while at < end and ray_point[order[at]] == j:
-            r = order[at]
+        while at < end and ray_point[rays[at]] == j:
+            r = rays[at]
             at += 1
             ray[0, count], ray[1, count] = ray_rows(design, values, r, design.ray_image[r], j, room)
             for a in range(2):
@@ -116,9 +114,9 @@ def left_out_group(
                 for s in range(count):
                     weighted = weight * changes[r, a, s]
                     ray[a, s] = changes[r, a, s]
-                    pull[group, s] += weighted * ray[a, count]
+                    sums[s, count] += weighted * ray[a, count]
                     for t in range(s + 1):
-                        hold[group, s, t] += weighted * ray[a, t]
+                        sums[s, t] += weighted * ray[a, t]
                 if stays:
                     continue
                 for b in range(3):
@@ -133,7 +131,7 @@ def left_out_group(
                     for s in range(count + 1):
                         across[b, s] += weighted * ray[a, s]
         if not stays:
-            eliminate(left, across, pull, hold, group)
+            eliminate(left, across, sums)
 
 
 def left_out_groups(
@@ -152,14 +150,14 @@ def left_out_groups(
     inverse (points, 3, 3): of each point's own normal matrix; zero where it is not eliminated.
     """
     groups, count = len(starts) - 1, changes.shape[2]
-    pull, hold = np.zeros((groups, count)), np.zeros((groups, count, count))
+    sums = np.zeros((groups, count, count + 1))
 
     def work(group: int) -> None:
         """The rays of one group; groups run side by side."""
-        own, room = (starts[group], starts[group + 1]), (scratch(width(design)), room_of_point(count))
-        given = (order, *own, ray_point, changes, inverse, group)
-        left_out_group(design, values, *given, pull, hold, *room)
+        rays, own = order[starts[group] : starts[group + 1]], room_of_group(count)
+        left_out_group(design, values, rays, ray_point, changes, inverse, scratch(width(design)), own)
+        sums[group] = own.sums
 
     each_piece(groups, work)
-    below = np.tril(hold, -1)
-    return pull, hold + np.swapaxes(below, 1, 2)
+    pull, hold = sums[:, :, count], sums[:, :, :count]
+    return pull, hold + np.swapaxes(np.tril(hold, -1), 1, 2)
