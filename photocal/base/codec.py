@@ -171,7 +171,8 @@ def unpacked(kind: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
             if _ARRAY in part:
                 return arrays[part[_ARRAY]]
             return {key: whole(each) for key, each in part.items()}
-        return [whole(each) for each in part] if isinstance(part, list) else part
+        # Figures of findings name several things by tuples.
+        return tuple(map(whole, part)) if isinstance(part, list) else part
 
     return from_plain(kind, whole(json.loads(arrays[_ALL_ELSE].tobytes())))
 
