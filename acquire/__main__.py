@@ -1,5 +1,5 @@
 """`python -m acquire`: the command, where no script is on the path."""
 
-from acquire.cli import main
+from acquire.commands.cli import main
 
 main()

@@ -9,7 +9,7 @@ import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 
-from acquire.cli import main as acquire_main
+from acquire.commands.cli import main as acquire_main
 from photocal.commands.cli import main as photocal_main
 
 PROGRAMS = {"acquire": acquire_main, "photocal": photocal_main}

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from acquire.cli import app as acquire_app
+from acquire.commands.cli import app as acquire_app
 from photocal.base.sentences import help_texts, read_texts
 from photocal.commands.cli import app as photocal_app
 from tests.docs.command_pages import Command, commands
@@ -143,7 +143,7 @@ def test_the_option_asks_for_the_language_of_the_help_of_photocal() -> None:
 @both
 def test_help_in_portuguese_imports_nothing_heavy(program: str) -> None:
     code = (
-        f"import sys\nfrom {program}.cli import main\nsys.argv[1:] = ['--help', '--lang', 'pt-BR']\n"
+        f"import sys\nfrom {program}.commands.cli import main\nsys.argv[1:] = ['--help', '--lang', 'pt-BR']\n"
         "try:\n    main()\nexcept SystemExit:\n    pass\n"
         f"print([m for m in {HEAVY} if m in sys.modules])"
     )

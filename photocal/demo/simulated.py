@@ -22,7 +22,7 @@ from photocal.block.results.folder import read_result
 from photocal.block.results.result import Result
 
 _WITHIN = 3.0
-_ACQUIRE = (sys.executable, "-c", "from acquire.cli import main; main()")
+_ACQUIRE = (sys.executable, "-c", "from acquire.commands.cli import main; main()")
 
 
 @dataclass(frozen=True)

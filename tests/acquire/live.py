@@ -138,7 +138,7 @@ class Recorder(Process):
 
     def __init__(self, configuration: Path, *program: str) -> None:
         command = [
-            *(program or (sys.executable, "-m", "acquire.cli")),
+            *(program or (sys.executable, "-m", "acquire")),
             "record",
             str(configuration),
             "--json",

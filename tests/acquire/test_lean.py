@@ -18,7 +18,7 @@ _SCRIPT = """
 import contextlib, json, socket, sys, threading, time
 from pathlib import Path
 from typer.testing import CliRunner
-from acquire.cli import app
+from acquire.commands.cli import app
 from acquire.recording.configuration import RecordingConfiguration
 from acquire.recording.recorder import record
 from drivers.mavlink.dialect import ardupilotmega

@@ -26,7 +26,7 @@ def test_import_against_mavlogdump(
     """Both as a person runs them, whole processes compiled once; the best of five each, by turns."""
     flight = shared / "data/mavlink-tlog-dronekit/flight.tlog"
     log = tmp_path / "flight.mcap"
-    ours = [sys.executable, "-m", "acquire.cli", "import", str(flight), "-o", str(log)]
+    ours = [sys.executable, "-m", "acquire", "import", str(flight), "-o", str(log)]
     dump = [sys.executable, str(Path(sys.executable).parent / "mavlogdump.py"), str(flight)]
 
     # An installed program has its bytecode, whatever this environment says about that.

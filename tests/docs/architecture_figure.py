@@ -18,7 +18,7 @@ from tests.docs.rooms import ROOT, Edges, between_rooms, modules
 FIGURE = ROOT / "docs" / "architecture.svg"
 
 # `python -m` goes the way of the command.
-_ENTRANCES = {"acquire.__main__": "acquire.cli", "photocal.__main__": "photocal.commands"}
+_ENTRANCES = {"acquire.__main__": "acquire.commands", "photocal.__main__": "photocal.commands"}
 # Number on the way of one observation, as the page tells it.
 STEPS = {
     "drivers": "1",

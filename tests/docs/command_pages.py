@@ -14,7 +14,7 @@ from typing import Any
 import typer
 from typer.main import get_command
 
-from acquire.cli import app as acquire_app
+from acquire.commands.cli import app as acquire_app
 from photocal.base.console import kinds
 from photocal.commands.cli import app as photocal_app
 

@@ -11,7 +11,7 @@ import pytest
 import typer
 from typer.main import get_command
 
-from acquire.cli import app as acquire_app
+from acquire.commands.cli import app as acquire_app
 from photocal.commands.cli import app as photocal_app
 from tests.docs.command_pages import FOLDER, INDEX
 

@@ -114,8 +114,8 @@ print(best.source, *best.time.ns.tolist())
 def test_it_goes_through_import_info_and_the_flight_log(tmp_path: Path, installed: dict[str, str]) -> None:
     recording, log = tmp_path / "rover.toy", tmp_path / "flight.mcap"
     recording.write_bytes(b"noise" + STREAM[:900] + b"!T\x10" + STREAM[900:])
-    run(installed, "-m", "acquire.cli", "import", "--link", f"rover={recording}", "-o", log)
-    told = json.loads(run(installed, "-m", "acquire.cli", "info", log, "--json"))
+    run(installed, "-m", "acquire", "import", "--link", f"rover={recording}", "-o", log)
+    told = json.loads(run(installed, "-m", "acquire", "info", log, "--json"))
     types = {row["type"]: row["frames"] for row in told["links"][0]["types"]}
     topics = {row["topic"]: row["messages"] for row in told["topics"]}
     lost = 40 - sum(types.values())
@@ -139,7 +139,7 @@ def test_it_is_recorded_from_a_port(tmp_path: Path, installed: dict[str, str]) -
         f'[recording]\noutput = "logs"\n[[link]]\nname = "rover"\nprotocol = "toy"\n'
         f'url = "udp://127.0.0.1:{port}"\n'
     )
-    command = [sys.executable, "-m", "acquire.cli", "record", str(configuration)]
+    command = [sys.executable, "-m", "acquire", "record", str(configuration)]
     with subprocess.Popen(command, env=installed, cwd=tmp_path, stdout=subprocess.DEVNULL) as recorder:
         until, size, empty = time.monotonic() + 60, 0, 0
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device:
@@ -153,7 +153,7 @@ def test_it_is_recorded_from_a_port(tmp_path: Path, installed: dict[str, str]) -
         recorder.terminate()
         recorder.wait(60)
     (log,) = tmp_path.glob("logs/*.mcap")
-    told = json.loads(run(installed, "-m", "acquire.cli", "info", log, "--json"))
+    told = json.loads(run(installed, "-m", "acquire", "info", log, "--json"))
     types = {row["type"]: row["frames"] for row in told["links"][0]["types"]}
     assert set(types) == {"TOY-POSITION", "TOY-PULSE"}
     assert types["TOY-POSITION"] == types["TOY-PULSE"] >= 20

@@ -141,7 +141,7 @@ def outcome_of(case: Case, fault_s: float = FAULT_S, after_s: float = AFTER_S) -
         path, port = configured(Path(name), *links)
         where = f'output = "{folder}/logs"\n' + ('fallback = "second"\n' if case.fallback else "")
         path.write_text(path.read_text().replace('output = "logs"\n', where))
-        command = [sys.executable, "-m", "acquire.cli", "record", str(path)]
+        command = [sys.executable, "-m", "acquire", "record", str(path)]
         recorder = stack.enter_context(Process(command))
         with GoodLink(port) as good:
             if case.fast:

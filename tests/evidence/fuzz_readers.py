@@ -32,7 +32,7 @@ import numpy as np
 from typer.testing import CliRunner
 
 from acquire.channels.summary import summarise
-from acquire.cli import app as acquire_app
+from acquire.commands.cli import app as acquire_app
 from acquire.importing.importer import identify, open_recording
 from acquire.importing.recovery import recover
 from acquire.recording.configuration import read_configuration

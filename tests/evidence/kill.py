@@ -64,7 +64,7 @@ def kill_one(seed: int) -> Killed:
             f'url = "udp://127.0.0.1:{port}"\n'
         )
         sender.connect(("127.0.0.1", port))
-        command = [sys.executable, "-m", "acquire.cli", "record", str(folder / "flight.toml")]
+        command = [sys.executable, "-m", "acquire", "record", str(folder / "flight.toml")]
         with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as recorder:
             assert recorder.stderr is not None
             path = Path(recorder.stderr.readline().removeprefix("recording to ").strip())

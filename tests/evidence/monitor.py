@@ -65,7 +65,16 @@ def study(flush_s: float) -> dict[str, list[float]]:
     """Return the delays of each kind of event, seconds."""
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
     with tempfile.TemporaryDirectory() as name, at_work(Path(name), flush_s) as field:
-        command = [sys.executable, "-m", "acquire.cli", "monitor", name, "--page", "--address", "127.0.0.1:0"]
+        command = [
+            sys.executable,
+            "-m",
+            "acquire.commands.cli",
+            "monitor",
+            name,
+            "--page",
+            "--address",
+            "127.0.0.1:0",
+        ]
         with (
             subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server,
             sync_playwright() as playwright,

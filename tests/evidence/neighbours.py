@@ -129,7 +129,7 @@ class Heard:
 def attacked(attack: str, logs: Path) -> Iterator[None]:
     """Have the page and the door of a monitor attacked."""
     page, door = free_port(), free_port()
-    monitor = [sys.executable, "-m", "acquire.cli", "monitor", str(logs), "--page"]
+    monitor = [sys.executable, "-m", "acquire", "monitor", str(logs), "--page"]
     addresses = ["--address", f"127.0.0.1:{page}", "--foxglove", "--foxglove-address", f"127.0.0.1:{door}"]
     with Process([*monitor, *addresses]) as process:
         target = "/?" + process.line("Foxglove: ").partition("/?")[2]
@@ -153,7 +153,7 @@ def heard_under(attack: str, lasts_s: float = LASTS_S) -> Heard:
     with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
         folder = Path(name)
         path, port = configured(folder)
-        command = [sys.executable, "-m", "acquire.cli", "record", str(path)]
+        command = [sys.executable, "-m", "acquire", "record", str(path)]
         recorder = stack.enter_context(Process(command))
         good = stack.enter_context(GoodLink(port))
         until(lambda: frames_in(folder / "logs", "good"), "the first frames")
@@ -222,9 +222,7 @@ def poor_computer(for_s: float = LOAD_S) -> Poor:
         path, port = configured(folder, *loaded, *silent)
         join = f"echo $$ > {group}/cgroup.procs; " if group else ""
         core = "taskset -c 0 " if shutil.which("taskset") else ""
-        inner = (
-            f"ulimit -n {DESCRIPTORS}; {join}exec {core}{sys.executable} -m acquire.cli record {path} --json"
-        )
+        inner = f"ulimit -n {DESCRIPTORS}; {join}exec {core}{sys.executable} -m acquire record {path} --json"
         with Process(["sh", "-c", inner]) as recorder, GoodLink(port) as good:
             until(lambda: all(map(is_bound, ports.values())), "the ports")
             senders = {

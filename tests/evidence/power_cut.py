@@ -61,7 +61,7 @@ def cuts_of_recording(seed: int, kind: str, cuts: int = CUTS) -> list[Cut]:
         path, port = configured(Path(name))
         text = path.read_text().replace('output = "logs"', f'output = "{folder}/logs"\nrotate_min = 0.05')
         path.write_text(text)
-        command = [sys.executable, "-m", "acquire.cli", "record", str(path)]
+        command = [sys.executable, "-m", "acquire", "record", str(path)]
         with Process(command) as recorder, GoodLink(port) as good:
             named: list[tuple[float, int]] = []
             for _ in range(cuts):
@@ -127,7 +127,7 @@ def wear_of(flush_s: float, for_s: float = 12.0) -> Wear:
         path, port = configured(Path(name))
         text = path.read_text().replace('output = "logs"', f'output = "{folder}/logs"\nflush_s = {flush_s}')
         path.write_text(text)
-        command = [sys.executable, "-m", "acquire.cli", "record", str(path)]
+        command = [sys.executable, "-m", "acquire", "record", str(path)]
         with Process(command) as recorder, GoodLink(port) as good:
             time.sleep(2.0)
             before = disk.written, disk.flushed, len(good.sent), time.monotonic()

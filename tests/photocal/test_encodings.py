@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from acquire.cli import app as acquire
+from acquire.commands.cli import app as acquire
 from acquire.recording.configuration import read_configuration
 from photocal.analysis.accuracy.standard import load_standard
 from photocal.base.checked_toml import read_tables

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from acquire.channels.mounting import NAMES, mounting_of
 from acquire.channels.vehicle import VehicleDecoder
-from acquire.cli import app
+from acquire.commands.cli import app
 from acquire.recording import dialogues
 from acquire.simulate.hardware import on_udp
 from drivers.frames import StreamFramer, Wire

@@ -154,7 +154,7 @@ def test_help_imports_nothing_heavy(command: list[str]) -> None:
     """Help answers at once because nothing that is slow to import is imported for it."""
     script = (
         "import sys\n"
-        "from acquire.cli import app\n"
+        "from acquire.commands.cli import app\n"
         "try:\n    app(sys.argv[1:])\nexcept SystemExit as end:\n    assert not end.code\n"
         "heavy = {'numpy', 'pyarrow', 'pymavlink', 'matplotlib', 'numba', 'rich', 'serial'}\n"
         "print('imported:', sorted(heavy & set(sys.modules)))\n"
@@ -192,7 +192,7 @@ def test_what_unpacks_to_gigabytes_is_refused_in_little_memory(name: str, tmp_pa
     log = tmp_path / "bomb.mcap"
     _log_with_chunk(log, *BOMBS[name]())
     code = (
-        "import sys\nfrom acquire.cli import main\n"
+        "import sys\nfrom acquire.commands.cli import main\n"
         f"sys.argv = ['acquire', 'info', {str(log)!r}]\n"
         "try:\n    main()\nexcept SystemExit as end:\n"
         "    lines = open('/proc/self/status').read().splitlines()\n"

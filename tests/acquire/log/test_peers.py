@@ -69,7 +69,17 @@ def test_a_link_without_mavlink_is_no_telemetry_log(flight: Path, acquire: Acqui
 
 @pytest.mark.skipif(shutil.which("str2str") is None, reason="RTKLIB's str2str is not installed (rtklib)")
 def test_str2str_copies_our_tcp_stream_byte_for_byte(flight: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "acquire.cli", "replay", str(flight), "--link", "rover", "--speed", "0"]
+    command = [
+        sys.executable,
+        "-m",
+        "acquire.commands.cli",
+        "replay",
+        str(flight),
+        "--link",
+        "rover",
+        "--speed",
+        "0",
+    ]
     copy = tmp_path / "copy.ubx"
     expected = (tmp_path / "rover.ubx").read_bytes()
     with Process([*command, "--to", "tcp://127.0.0.1:0"]) as replay:

@@ -62,7 +62,7 @@ def start(log: Path) -> Iterator[Callable[..., Process]]:
     with ExitStack() as running:
 
         def run(*arguments: object) -> Process:
-            command = [sys.executable, "-m", "acquire.cli", "replay", str(log), *map(str, arguments)]
+            command = [sys.executable, "-m", "acquire", "replay", str(log), *map(str, arguments)]
             return running.enter_context(Process(command))
 
         yield run

@@ -67,7 +67,7 @@ def epochs(data: bytes) -> int:
 def test_rtkrcv_counts_every_epoch(logs: dict[str, Path], shared: Path, tmp_path: Path) -> None:
     name = "data/gnss-ubx-m8p-base-rover/rover-20181004-1237.ubx.gz"
     expected = epochs(gzip.decompress((shared / name).read_bytes()))
-    command = [sys.executable, "-m", "acquire.cli", "replay", str(logs["m8p"]), "--link", "rover"]
+    command = [sys.executable, "-m", "acquire", "replay", str(logs["m8p"]), "--link", "rover"]
     replay = Process([*command, "--speed", "0", "--to", "tcp://127.0.0.1:0"])
     port = replay.line(" to ").rpartition(":")[2]
     settings = tmp_path / "rtkrcv.conf"

@@ -20,7 +20,7 @@ def monitor() -> Iterator[Monitor]:
     running: list[subprocess.Popen[str]] = []
 
     def start(source: Path, *arguments: object) -> tuple[subprocess.Popen[str], str]:
-        command = [sys.executable, "-m", "acquire.cli", "monitor", str(source), *map(str, arguments)]
+        command = [sys.executable, "-m", "acquire", "monitor", str(source), *map(str, arguments)]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         running.append(process)
         assert process.stdout is not None

@@ -70,7 +70,7 @@ def test_in_a_terminal_it_is_live_and_leaves_a_clean_screen(log: Path) -> None:
     ours, theirs = pytest.importorskip("pty", reason="Windows has no such terminals").openpty()
     environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"}
     process = subprocess.Popen(
-        [sys.executable, "-m", "acquire.cli", "monitor", str(log)],
+        [sys.executable, "-m", "acquire", "monitor", str(log)],
         stdin=theirs, stdout=theirs, stderr=theirs, env=environment,
     )  # fmt: skip
     os.close(theirs)

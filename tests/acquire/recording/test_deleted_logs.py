@@ -35,7 +35,7 @@ def test_a_log_that_is_deleted_or_moved_is_told_and_nothing_is_lost(
     clean_up: Callable[[Path], None], tmp_path: Path
 ) -> None:
     path, port = configured(tmp_path)
-    with Process([sys.executable, "-m", "acquire.cli", "record", str(path), "--json"]) as recorder:
+    with Process([sys.executable, "-m", "acquire", "record", str(path), "--json"]) as recorder:
         with GoodLink(port) as good:
             until(lambda: frames_in(tmp_path / "logs", "good"), "the first frames")
             clean_up(tmp_path / "logs")
@@ -54,7 +54,7 @@ def test_a_log_that_is_deleted_or_moved_is_told_and_nothing_is_lost(
 
 def test_a_log_that_is_deleted_loses_nothing_that_is_due_at_a_kill(tmp_path: Path) -> None:
     path, port = configured(tmp_path)
-    command = [sys.executable, "-m", "acquire.cli", "record", str(path)]
+    command = [sys.executable, "-m", "acquire", "record", str(path)]
     with Process(command) as recorder, GoodLink(port) as good:
         until(lambda: frames_in(tmp_path / "logs", "good"), "the first frames")
         shutil.rmtree(tmp_path / "logs")

@@ -99,7 +99,7 @@ def test_the_commands_run(tmp_path: Path, port: int) -> None:
                 for w in (glob.glob(str(tmp_path / word)) or [word])  # noqa: PTH207
             ]
             assert program == "acquire"
-            words = [sys.executable, "-m", "acquire.cli", *arguments]
+            words = [sys.executable, "-m", "acquire", *arguments]
             if arguments[0] == "record":
                 recorder = running.enter_context(Process(words, tmp_path))
                 recorder.line("recording to ")
@@ -119,7 +119,16 @@ def test_the_commands_run(tmp_path: Path, port: int) -> None:
 
 def test_the_preflight_that_is_named_exists(tmp_path: Path, port: int) -> None:
     (tmp_path / "first.toml").write_text(blocks("toml")[0].replace("14550", str(port)))
-    words = [sys.executable, "-m", "acquire.cli", "check", "first.toml", "--seconds", "0.3", "--json"]
+    words = [
+        sys.executable,
+        "-m",
+        "acquire.commands.cli",
+        "check",
+        "first.toml",
+        "--seconds",
+        "0.3",
+        "--json",
+    ]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 10
     subjects = {finding["subject"] for finding in json.loads(done.stdout)["findings"]}

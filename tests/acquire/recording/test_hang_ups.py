@@ -31,7 +31,7 @@ def test_a_recorder_that_shall_outlive_its_terminal_does(tmp_path: Path) -> None
     """By nohup a hang-up is ignored from the start."""
     path, port = configured(tmp_path)
     ignored = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)"
-    program = f"{ignored}; from acquire.cli import main; main()"
+    program = f"{ignored}; from acquire.commands.cli import main; main()"
     with Process([sys.executable, "-c", program, "record", str(path)]) as recorder:
         until(lambda: is_bound(port), "the port")
         recorder.process.send_signal(signal.SIGHUP)

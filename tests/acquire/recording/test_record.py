@@ -146,7 +146,7 @@ def test_a_file_that_cannot_grow_is_followed_by_the_next_and_nothing_is_lost(
     limited = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (60000, 60000));"
-        "from acquire.cli import main; main()"
+        "from acquire.commands.cli import main; main()"
     )
     recorder = start(link("rover", "ubx", f"udp://127.0.0.1:{port}"), sys.executable, "-c", limited)
     until(lambda: is_bound(port), "the port of the rover")

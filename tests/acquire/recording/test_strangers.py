@@ -81,7 +81,7 @@ def test_two_senders_at_one_port_are_told_once_and_cost_nothing(tmp_path: Path) 
     shared = free_port()
     path, port = configured(tmp_path, ("shared", "ubx", f"udp://127.0.0.1:{shared}", "silent_s = 600"))
     with ExitStack() as stack:
-        recorder = stack.enter_context(Process([sys.executable, "-m", "acquire.cli", "record", str(path)]))
+        recorder = stack.enter_context(Process([sys.executable, "-m", "acquire", "record", str(path)]))
         good = stack.enter_context(GoodLink(port))
         until(lambda: is_bound(shared), "the shared port")
         arguments = [str(shared), "40000", good.sent[0][1].hex() if good.sent else "b562"]

@@ -77,7 +77,7 @@ def test_a_device_that_takes_nothing_costs_the_other_links_nothing(
             ("rover", "ubx", url, "silent_s = 600"),
             ("base", "rtcm3", f"udp://127.0.0.1:{base}", 'silent_s = 600\ncorrections_to = ["rover"]'),
         )
-        command = [sys.executable, "-m", "acquire.cli", "record", str(path)]
+        command = [sys.executable, "-m", "acquire", "record", str(path)]
         recorder = stack.enter_context(Process(command))
         good = stack.enter_context(GoodLink(port))
         until(lambda: is_bound(base), "the port of the base")

@@ -109,7 +109,7 @@ def configured(folder: Path, *links: tuple[str, str, str, str]) -> tuple[Path, i
 @contextlib.contextmanager
 def recording(configuration: Path, *more: str, **streams: Any) -> Iterator[subprocess.Popen[bytes]]:
     """Run `acquire record` with its streams as they are wanted; it is killed at the end."""
-    command = [sys.executable, "-m", "acquire.cli", "record", str(configuration), *more]
+    command = [sys.executable, "-m", "acquire", "record", str(configuration), *more]
     process = subprocess.Popen(command, **streams)
     try:
         yield process

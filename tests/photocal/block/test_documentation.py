@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from typer.main import get_command
 
-from acquire.cli import app as acquire_app
+from acquire.commands.cli import app as acquire_app
 from photocal.base.checked_toml import read_toml
 from photocal.block.camera_setup import make_camera
 from photocal.block.folder import (

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from acquire.cli import app as acquire_app
+from acquire.commands.cli import app as acquire_app
 from photocal.commands.cli import app as photocal_app
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json, finding_text, plain, spoken
@@ -70,7 +70,7 @@ HELP_S = 0.25
 def test_help_imports_nothing_heavy(program: str) -> None:
     asked = [[], *(one.name.split()[1:] for one in commands() if one.name.split()[0] == program)]
     code = (
-        f"import sys\nfrom {program}.cli import app\n"
+        f"import sys\nfrom {program}.commands.cli import app\n"
         f"for words in {asked}:\n"
         "    try:\n        app([*words, '--help'])\n    except SystemExit:\n        pass\n"
         f"    if not words: print([m for m in sys.modules if m.startswith('{program}.commands.')])\n"

@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
-from acquire.cli import app as acquire_app
+from acquire.commands.cli import app as acquire_app
 from drivers import nmea
 from drivers.frames import GNSS, Frame, StreamFramer, Wire
 from photocal.commands.cli import app as photocal_app

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
-from acquire.cli import app as acquire_app
+from acquire.commands.cli import app as acquire_app
 from acquire.simulate.gnss.settings import ROVER, SkySettings
 from photocal.commands.cli import app as photocal_app
 from tests.acquire.simulate.gnss.flights import (

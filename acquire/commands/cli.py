@@ -34,7 +34,3 @@ def texts(language: str) -> "Texts":
     from acquire.commands import texts as read
 
     return read.texts(language)
-
-
-if __name__ == "__main__":
-    main()
