@@ -180,7 +180,7 @@ def test_a_project_that_nothing_places_is_free_and_says_so(
     assert set(block.points.role.tolist()) == {ROLES.index("tie")}
     record = json.loads((tmp_path / "b/measurement.json").read_text())
     told = {finding["code"]: finding["text"] for finding in record["findings"]}
-    assert "calibrated, not georeferenced" in told["block-not-placed"]
+    assert "adjusted free, in a local system" in told["block-not-placed"]
     assert "0 of 4 are marked in two pictures" in told["control-not-used"]
 
 
