@@ -15,8 +15,30 @@ export function h(name, attributes = {}, ...children) {
   return made;
 }
 
+// A button or link that is replaced while it is pressed would never be clicked: what is drawn anew waits.
+let pressed = null;
+const waiting = new Map();
+
+function released() {
+  pressed = null;
+  const drawn = [...waiting];
+  waiting.clear();
+  for (const [element, children] of drawn) fill(element, ...children);
+}
+
+addEventListener("pointerdown", (event) => (pressed = event.target), true);
+// The click comes after the release.
+for (const end of ["pointerup", "pointercancel"]) addEventListener(end, () => setTimeout(released), true);
+addEventListener("blur", released);
+addEventListener("click", () => (pressed = null), true);
+
 /** Put new children into an element; what has the focus keeps it, where it has a name. */
 export function fill(element, ...children) {
+  waiting.delete(element);
+  if (pressed && element !== pressed && element.contains(pressed)) {
+    waiting.set(element, children);
+    return element;
+  }
   const focused = element.contains(document.activeElement) ? document.activeElement.id : "";
   element.replaceChildren(...children.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== false));
   if (focused) document.getElementById(focused)?.focus();

@@ -87,6 +87,27 @@ def test_what_is_meant_for_one_folder_is_not_done_in_another(
     expect(page.locator("main > .said")).to_have_count(0)
 
 
+def test_a_button_that_is_drawn_anew_while_it_is_pressed_is_clicked(page: Page, served: Client) -> None:
+    """A finger rests on a button for a tenth of a second; the step draws itself anew each second."""
+    at(page, served, "run")
+    start = page.locator("#start")
+    expect(start).to_be_enabled()
+    box = start.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.down()
+    # Twice, so that one of them was asked for after the button was pressed.
+    for _ in range(2):
+        with page.expect_response("**/api/run"):
+            pass
+    page.wait_for_timeout(200)
+    with page.expect_request("**/api/run/start"):
+        page.mouse.up()
+    # What has waited is drawn now: the run is seen to end.
+    expect(page.locator("#stop")).to_be_hidden()
+    expect(start).to_be_enabled()
+
+
 def test_what_was_done_before_a_change_of_the_project_is_out_of_date(served: Client, folder: Path) -> None:
     def stands(step: str = "run") -> dict[str, str]:
         told: dict[str, str] = served.get("/api/desk").json["steps"][step]

@@ -109,7 +109,7 @@ export function markLists({ say, language, state, images, acts }) {
   /** New entries in a list; the button that had the focus has it again. */
   function keep(list, entries) {
     const at = [...list.children].findIndex((item) => item.contains(document.activeElement));
-    list.replaceChildren(...entries);
+    fill(list, entries);
     if (at >= 0) list.children[Math.min(at, entries.length - 1)]?.querySelector("button").focus({ preventScroll: true });
   }
 
