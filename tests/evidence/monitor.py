@@ -68,7 +68,7 @@ def study(flush_s: float) -> dict[str, list[float]]:
         command = [
             sys.executable,
             "-m",
-            "acquire.commands.cli",
+            "acquire",
             "monitor",
             name,
             "--page",

@@ -72,7 +72,7 @@ def test_str2str_copies_our_tcp_stream_byte_for_byte(flight: Path, tmp_path: Pat
     command = [
         sys.executable,
         "-m",
-        "acquire.commands.cli",
+        "acquire",
         "replay",
         str(flight),
         "--link",

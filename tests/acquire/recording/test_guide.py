@@ -122,7 +122,7 @@ def test_the_preflight_that_is_named_exists(tmp_path: Path, port: int) -> None:
     words = [
         sys.executable,
         "-m",
-        "acquire.commands.cli",
+        "acquire",
         "check",
         "first.toml",
         "--seconds",
