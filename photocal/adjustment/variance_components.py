@@ -4,6 +4,7 @@ Every group's variance is scaled by its v'Pv over its redundancy and the network
 nothing changes (Foerstner 1979; at the end the estimate is that of Helmert 1924).
 """
 
+import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 
@@ -11,8 +12,13 @@ import numpy as np
 
 from photocal.adjustment.adjust import adjusted_network
 from photocal.adjustment.adjusted import AdjustedNetwork
+from photocal.adjustment.covariance import equation_covariance
+from photocal.adjustment.envelope import factorise, product, selected_inverse, solve
+from photocal.adjustment.equations import add_equations
+from photocal.adjustment.factored import Factored
 from photocal.adjustment.groups import groups_of_rays
 from photocal.adjustment.network import Network
+from photocal.adjustment.normal import diagonal_addresses
 from photocal.adjustment.solution import ComponentFactor, Group, Solution
 from photocal.adjustment.solver import Iteration
 from photocal.base.arrays import Integers
@@ -20,6 +26,8 @@ from photocal.base.errors import IllPosedError, NotConvergedError
 
 # A variance is settled when a round changes it by less than this share of itself.
 SETTLED = 1e-3
+# Rounds shrink at a steady rate up to this one: then the rest of the way is known (Aitken 1926).
+_STEADY = 0.9
 # Division of the rays into groups of one standard deviation each: names, and the group of each ray.
 RayGroups = tuple[tuple[str, ...], Integers]
 
@@ -106,6 +114,41 @@ def estimate_components(
         f"the variance components have not settled after {most_rounds} rounds",
         "hold the groups with the least redundancy, or look for gross errors first",
     )
+
+
+def settled_factor(at: Factored, name: str) -> float:
+    """By what the standard deviations of a group beside rays and points must be multiplied to agree.
+
+    The rounds of `estimate_components`, with the derivatives of one minimum: images and points stay as they
+    are eliminated, so that a round costs a factorisation and no pass over the rays.
+
+    name: a group of `Factored.others`.
+    """
+    most_rounds = 30
+    rows, structure = at.others[name], at.problem.layout.envelope
+    given, held = product(structure, at.normal.matrix), at.problem.held
+    row_of = np.repeat(np.arange(len(rows.weight)), np.diff(rows.start))
+    held_diagonal = diagonal_addresses(at.problem)[held]
+    total, before = 1.0, 0.0
+    for _ in range(most_rounds):
+        matrix, gradient = given.copy(), at.normal.gradient.copy()
+        added = rows._replace(weight=rows.weight * (total**-2.0 - 1.0))
+        add_equations(*added, structure, matrix, gradient)
+        gradient[held], matrix[held_diagonal] = 0.0, 1.0
+        if factorise(structure, matrix) >= 0:
+            break
+        step = solve(structure, matrix, -gradient)
+        residual = rows.residual + np.bincount(row_of, rows.coefficient * step[rows.column], len(rows.weight))
+        taken = equation_covariance(rows, structure, selected_inverse(structure, matrix), 1).ravel()
+        weight = rows.weight / total**2
+        redundancy = len(weight) - float(weight @ taken)
+        change = 0.5 * math.log(float(weight @ residual**2) / redundancy)
+        rate = change / before if before else 0.0
+        total *= math.exp(change / (1.0 - rate) if 0.0 < rate < _STEADY else change)
+        if abs(change) < SETTLED:
+            break
+        before = change
+    return total
 
 
 def _components(

@@ -21,6 +21,7 @@ from photocal.adjustment.network import Network
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import BENT
 from photocal.adjustment.state import State
+from photocal.adjustment.variance_components import settled_factor
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.base.policy import policy
@@ -153,7 +154,13 @@ def systematic_errors(
         wrong = _wrong_sigma(given, alone, steps, scaled=scaled)
         if wrong is None or sum(map(len, steps.values())) == _SETTLING:
             break
-        factor = _step(wrong.factor, steps.setdefault(wrong.name, []))
+        # Points are eliminated, with what is known of them: only an adjustment tells what their sigmas do.
+        made = steps.setdefault(wrong.name, [])
+        if wrong.name in CONTROL:
+            factor = _step(wrong.factor, made)
+        else:
+            factor = settled_factor(given.factored, wrong.name)
+            made.append(math.log(factor))
         sigmas = [*(one for one in sigmas if one.name != wrong.name), _together(sigmas, wrong, factor)]
         given = _with_sigmas(given, wrong.name, factor)
         done()
