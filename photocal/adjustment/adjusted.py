@@ -16,7 +16,7 @@ from photocal.adjustment.mounting import Attitudes, Positions
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.solution import Solution
-from photocal.adjustment.solver import CONVERGED, Near, minimise
+from photocal.adjustment.solver import CONVERGED, Minimum, Near, minimise
 from photocal.adjustment.state import State, start_state
 from photocal.base.arrays import Flags, Floats, Integers
 
@@ -73,6 +73,13 @@ def fit(network: Network, state: State | None = None) -> AdjustedNetwork:
     minimum = minimise(problem, start)
     at = factorised(problem, minimum)
     return AdjustedNetwork(network, minimum.state, complete(at, minimum.iterations), at)
+
+
+def at_minimum(network: Network, solution: Solution) -> AdjustedNetwork:
+    """Factorise the equations of an adjusted network again; a free one has the datum of its start values."""
+    problem = with_datum(prepare(network), start_state(network))
+    factored = factorised(problem, Minimum(solution.state, None, ()))
+    return AdjustedNetwork(network, solution.state, solution, factored)
 
 
 def lowest(network: Network, state: State, near: float = CONVERGED) -> Near:

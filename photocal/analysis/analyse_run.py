@@ -14,7 +14,15 @@ from photocal.analysis.georeferencing.comparison import exposure_difference
 from photocal.analysis.georeferencing.direct import direct_orientation
 from photocal.analysis.georeferencing.methods import in_local_frame
 from photocal.analysis.left_out import Checks
-from photocal.analysis.outcome import ANALYSIS, Analysis, ExteriorDifference, Outcome, analyse_network
+from photocal.analysis.outcome import (
+    ANALYSIS,
+    Analysis,
+    ExteriorDifference,
+    Outcome,
+    analyse_adjusted,
+    analyse_network,
+)
+from photocal.analysis.searched_block import SearchedBlock
 from photocal.base.arrays import as_plain
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.base.files import digest, output_file, write_json
@@ -81,9 +89,15 @@ def analyse_run(
     source = block_of_run(folder, result, block, Path.cwd())
     given = read(source.path)
     outcome = analyse_block(given, result, alpha, threshold, done, draws)
-    outcome = replace(
-        outcome, exterior_difference=exterior_difference(given, result), result_sha256=digest(folder / RESULT)
-    )
+    return write_analysis(folder, outcome, given, result, say)
+
+
+def write_analysis(
+    folder: Path, outcome: Outcome, block: Block, result: Result, say: Catalogue | None = None
+) -> Outcome:
+    """Write the analysis of a block's result into the folder of this, and give it as it is written."""
+    difference = exterior_difference(block, result)
+    outcome = replace(outcome, exterior_difference=difference, result_sha256=digest(folder / RESULT))
     with output_file(folder / ANALYSIS) as aside:
         write_json(aside, analysis_record(outcome, say or catalogue("en")))
     return outcome
@@ -109,6 +123,14 @@ def analyse_block(
     checks, start = checks_of(block, assembly), None if result is None else state_of(assembly, result)
     slips = slips_of(block, assembly)
     return analyse_network(assembly.network, checks, alpha, threshold, done, draws, start, slips)
+
+
+def analyse_searched(searched: SearchedBlock, done: Callable[[float], None] = lambda _: None) -> Outcome:
+    """Analyse an adjusted block at the levels of `policy`, with the causes that were looked for in it."""
+    block, assembly = searched.adjusted.block, searched.adjusted.assembly
+    checks, slips = checks_of(block, assembly), slips_of(block, assembly)
+    levels = policy.parameter_significance, policy.strong_correlation
+    return analyse_adjusted(searched.causes, checks, *levels, done, slips=slips)
 
 
 def checks_of(block: Block, assembly: NetworkOfBlock) -> Checks:

@@ -45,6 +45,7 @@ from photocal.analysis.systematic_errors.search import (
     Search,
     VarianceComponent,
     camera_estimates,
+    causes_in,
     search,
 )
 from photocal.analysis.systematic_errors.shifts import MOST_JOINT, ImageShift
@@ -58,7 +59,7 @@ from photocal.findings.verdict import judge, verdict_section
 from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.hypotheses.findings import Slips, asked_of, no_slips
-from photocal.hypotheses.search import straightened
+from photocal.hypotheses.search import SystematicErrors, straightened
 
 _ROTATION = Method("ROT", "two principal distances", "equations", 3, False, (rotation_misfit,))
 # Findings of terms that a lens model lacks.
@@ -317,12 +318,32 @@ def analyse_network(
 ) -> Outcome:
     """Adjust a network and analyse it; without control that contradicts itself where it cannot be otherwise.
 
-    draws: of the bootstrap over images: as many more adjustments.
     start: where the minimum is known to be near.
-    slips: what names the typing errors of a control point.
-    done: gets the share of the work that was done since it was called last.
     raises IllPosedError, NotConvergedError: as the adjustment does.
     """
+    with because("the calibrated block, whose residuals are analysed"):
+        fitted, at_once = straightened(network, start)
+    causes = causes_in(fitted, at_once, lambda: done(0.0))
+    return analyse_adjusted(causes, checks, alpha, threshold, done, draws, slips)
+
+
+@on_one_thread
+def analyse_adjusted(
+    causes: SystematicErrors,
+    checks: Checks,
+    alpha: float,
+    threshold: float,
+    done: Callable[[float], None] = lambda _: None,
+    draws: int = 0,
+    slips: Slips = no_slips,
+) -> Outcome:
+    """Analyse an adjusted network, in which causes were looked for.
+
+    draws: of the bootstrap over images: as many more adjustments.
+    slips: what names the typing errors of a control point.
+    done: gets the share of the work that was done since it was called last.
+    """
+    fitted, network = causes.first, causes.first.network
     # Of the bootstrap: the same images are drawn again when a certificate is verified.
     seed = 1
     left, share = 1.0, 1.0 / (_steps(network) + draws)
@@ -335,9 +356,7 @@ def analyse_network(
         left -= now
         done(now)
 
-    with because("the calibrated block, whose residuals are analysed"):
-        fitted, at_once = straightened(network, start)
-    searched = search(fitted, step, at_once)
+    searched = search(causes, step)
     geometry = shape(network, fitted.state)
     drawn = bootstrap(fitted, draws, np.random.default_rng(seed), step) if draws else None
     # Lenses are compared where something is left that a lens may explain, when that is corrected which is

@@ -134,7 +134,7 @@ def systematic_errors(
         straight, at_once = without or (first, None)
     given, gross = without_gross_rays(straight)
     done()
-    start, sigmas, against = given, list[GroupTest](), None if at_once else _contradicted(given)
+    start, sigmas, against = given, dict[str, GroupTest](), None if at_once else _contradicted(given)
     scaled = None if against is None else isinstance(against, WrongSigmas)
     undecided = against if isinstance(against, Contradiction) and against.as_scale else None
     if isinstance(against, WrongSigmas):
@@ -161,7 +161,8 @@ def systematic_errors(
         else:
             factor = settled_factor(given.factored, wrong.name)
             made.append(math.log(factor))
-        sigmas = [*(one for one in sigmas if one.name != wrong.name), _together(sigmas, wrong, factor)]
+        known = sigmas.get(wrong.name)
+        sigmas[wrong.name] = replace(known or wrong, factor=factor * (1.0 if known is None else known.factor))
         given = _with_sigmas(given, wrong.name, factor)
         done()
     accepted, search = _placed(search, search.chosen(alone), table, against)
@@ -209,7 +210,7 @@ def systematic_errors(
         estimates,
         tuple(f"{name}: {reason}" for name, reason in search.refused.items()),
         _free(first, table),
-        tuple(sigmas),
+        _settled(sigmas, given),
         first,
         last,
         gross,
@@ -351,11 +352,20 @@ def _step(factor: float, made: list[float]) -> float:
     return math.exp(step / (1.0 - rate)) if 0.0 < rate < _STEADY else factor
 
 
-def _together(before: Sequence[GroupTest], now: GroupTest, factor: float) -> GroupTest:
-    """The factor of a group over all rounds, with the limits of the last."""
-    total = factor * math.prod(one.factor for one in before if one.name == now.name)
-    share = total / now.factor
-    return replace(now, factor=total, lower=share * now.lower, upper=share * now.upper)
+def _settled(sigmas: dict[str, GroupTest], given: AdjustedNetwork) -> tuple[GroupTest, ...]:
+    """The factors of groups over all rounds, with the limits and the redundancy of the last."""
+    last = {test.name: test for test in group_tests(given.network, given.solution)}
+    return tuple(
+        replace(
+            last[name],
+            factor=one.factor,
+            lower=one.factor * last[name].lower,
+            upper=one.factor * last[name].upper,
+            p_value=one.p_value,
+            gain=one.gain,
+        )
+        for name, one in sigmas.items()
+    )
 
 
 def _with_sigmas(given: AdjustedNetwork, name: str, factor: float) -> AdjustedNetwork:

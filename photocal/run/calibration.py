@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from photocal.base.errors import PhotocalError
 from photocal.base.progress import Progress
 from photocal.block.project import Project
 from photocal.report.keys import own_key
@@ -15,34 +16,65 @@ from photocal.run.stage import RECORD, Stage
 from photocal.run.summary import gather, read_json
 
 if TYPE_CHECKING:
+    from photocal.analysis.searched_block import SearchedBlock
     from photocal.block.model import Block
+    from photocal.block.results.adjusted import Report
+
+    Calibrated = Callable[[Report | None], SearchedBlock | PhotocalError]
 
 
-def calibration_stage(block: Path, read: Callable[[Path], Block]) -> Stage:
+def calibration_stage(block: Path, calibrated: Calibrated) -> Stage:
     """Describe the stage that adjusts everything together."""
 
     def make(folder: Path, show: Progress) -> None:
         """Make the files of the stage."""
-        from photocal.block.results.adjusted import adjust_block
+        from photocal.block.results.adjusted import write_adjusted
 
         with show("calibration", None) as done:
-            adjust_block(block, folder, report=lambda _: done(1), read=read)
+            made = calibrated(lambda _: done(1))
+        if isinstance(made, PhotocalError):
+            raise made
+        write_adjusted(made.adjusted, block, folder)
 
     return Stage("calibration", "integrated adjustment with the camera", make, after=(block,))
 
 
-def analysis_stage(block: Path, calibration: Path, read: Callable[[Path], Block]) -> Stage:
+def calibrated_once(block: Path, read: Callable[[Path], Block]) -> Calibrated:
+    """Adjust a block when the first stage asks for it; all get the same, or the same refusal."""
+    made: list[SearchedBlock | PhotocalError] = []
+
+    def calibrated(report: Report | None) -> SearchedBlock | PhotocalError:
+        """Give the block adjusted."""
+        from photocal.analysis.searched_block import SearchedBlock
+        from photocal.block.results.adjusted import adjustment_of
+
+        if not made:
+            try:
+                made.append(SearchedBlock(adjustment_of(read(block), report=report)))
+            except PhotocalError as refusal:
+                made.append(refusal)
+        return made[0]
+
+    return calibrated
+
+
+def analysis_stage(block: Path, calibration: Path, calibrated: Calibrated) -> Stage:
     """Describe the stage that looks for hidden errors; its folder is the run with `analysis.json`."""
 
     def make(folder: Path, show: Progress) -> None:
         """Make the files of the stage."""
-        from photocal.analysis.analyse_run import analyse_run
+        from photocal.analysis.analyse_run import analyse_searched, write_analysis
+
+        made = calibrated(None)
+        if isinstance(made, PhotocalError):
+            raise made
 
         shutil.copytree(
             calibration, folder, dirs_exist_ok=True, ignore=lambda *_: [RECORD], copy_function=shutil.copyfile
         )
         with show("analysis", 1.0) as done:
-            analyse_run(folder, block, done=done, read=read)
+            outcome = analyse_searched(made, done)
+        write_analysis(folder, outcome, made.adjusted.block, made.adjusted.result)
 
     return Stage("analysis", "hidden errors, significance, correlations", make, after=(block, calibration))
 

@@ -17,7 +17,7 @@ from photocal.block.project import Project, read_project
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.findings.verdict import by_methods
 from photocal.run.block import block_stage, given_block_stage
-from photocal.run.calibration import analysis_stage, calibration_stage, certificate_stage
+from photocal.run.calibration import analysis_stage, calibrated_once, calibration_stage, certificate_stage
 from photocal.run.control import control_stage
 from photocal.run.course import (
     COMPILING,
@@ -64,6 +64,7 @@ def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
     block, calibration = work / "block", work / "calibration"
     # A block is complete before it is read, once for all stages.
     read = cache(read_block)
+    calibrated = calibrated_once(block, read)
     given = project.contents.measurements
     if given is not None and given.block is not None:
         first: tuple[Stage, ...] = (given_block_stage(project, given.block),)
@@ -81,10 +82,10 @@ def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
         )
     made = (
         *first,
-        calibration_stage(block, read),
+        calibration_stage(block, calibrated),
         *((flown_stage(project, block, calibration),) if given is None or given.block is None else ()),
-        georeferencing_stage(project, block, read),
-        analysis_stage(block, calibration, read),
+        georeferencing_stage(project, block, read, calibrated),
+        analysis_stage(block, calibration, calibrated),
     )
     made = (*made, *_added(project, work, {stage.name for stage in made}))
     return (*made, certificate_stage(project, work, day, tuple(work / stage.name for stage in made)))

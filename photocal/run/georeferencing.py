@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from photocal.base.errors import PhotocalError
 from photocal.base.files import write_json
 from photocal.base.progress import Progress
 from photocal.block.project import Project
@@ -15,17 +16,20 @@ if TYPE_CHECKING:
     from photocal.analysis.accuracy.standard import Question
     from photocal.analysis.georeferencing.direct import Calibration
     from photocal.block.model import Block
+    from photocal.run.calibration import Calibrated
 
 FIGURES = "check.json"
 
 
-def georeferencing_stage(project: Project, block: Path, read: Callable[[Path], Block]) -> Stage:
+def georeferencing_stage(
+    project: Project, block: Path, read: Callable[[Path], Block], calibrated: Calibrated
+) -> Stage:
     """Describe the stage, which follows the one whose folder is `block`."""
     standards = [name for name in project.contents.judgement.standards if name.endswith(".toml")]
     return Stage(
         "georeferencing",
         "three georeferencings at the check points",
-        lambda out, show: _make(project, block, out, show, read),
+        lambda out, show: _make(project, block, out, show, read, calibrated),
         {f"standard {name}": Path(name) for name in standards},
         project.contents.judgement.model_dump(mode="json"),
         (block,),
@@ -33,26 +37,35 @@ def georeferencing_stage(project: Project, block: Path, read: Callable[[Path], B
 
 
 def _make(
-    project: Project, source: Path, folder: Path, show: Progress, read: Callable[[Path], Block]
+    project: Project,
+    source: Path,
+    folder: Path,
+    show: Progress,
+    read: Callable[[Path], Block],
+    calibrated: Calibrated,
 ) -> None:
     from photocal.analysis.accuracy.maps import reference_system
     from photocal.analysis.accuracy.standard import SHIPPED, load_standard
     from photocal.analysis.georeferencing.comparison import check_block
-    from photocal.analysis.georeferencing.methods import METHODS, with_shutters
+    from photocal.analysis.georeferencing.methods import METHODS
     from photocal.analysis.georeferencing.output import SCHEMA, to_json, write_check
     from photocal.base.geopackage import changed_utc
     from photocal.findings.texts import as_record
     from photocal.measurement.oriented_ties import NOT_PLACED
 
     standards = tuple(load_standard(name) for name in project.contents.judgement.standards or SHIPPED)
-    block = with_shutters(read(source))
+    block = read(source)
     if block.datum != "control":
         # Nothing can be judged in a relative block; that is no failure.
         with_nothing = {"schema": SCHEMA, "block": block.name, "methods": {}, "refused": []}
         write_json(folder / FIGURES, with_nothing | as_record([NOT_PLACED]))
         return
     with show("three georeferencings", len(METHODS) + 2) as done:
-        result = check_block(block, standards, question_of(project), done=lambda _: done(1), on_the_job=True)
+        made = calibrated(None)
+        known = None if isinstance(made, PhotocalError) else made
+        result = check_block(
+            block, standards, question_of(project), done=lambda _: done(1), on_the_job=True, known=known
+        )
     system = reference_system(None if block.frame == "local" else block.frame)
     write_check(result, to_json(result), folder, system, changed_utc(source))
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from photocal.adjustment.adjusted import fit
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.search import search
+from photocal.analysis.systematic_errors.search import causes_in, search
 from photocal.base.arrays import Floats
 from tests.photocal.analysis.simulated import (
     CONTROL_M,
@@ -44,7 +44,7 @@ def clean() -> list[str]:
         simulated, alarms = make(), Counter[str]()
         empty = 0
         for seed in range(SEEDS):
-            listed = findings(search(fit(noisy(simulated, 3000 + seed, None, CONTROL_M[name]))))
+            listed = findings(search(causes_in(fit(noisy(simulated, 3000 + seed, None, CONTROL_M[name])))))
             empty += not listed
             alarms.update(one.code for one in listed)
             sys.stderr.write(f"\r{name}: seed {seed + 1} of {SEEDS}, {empty} empty   ")
@@ -63,7 +63,7 @@ def injected() -> list[str]:
         simulated = WHICH[name]()
         plane, first, named = spoil(simulated), Counter[str](), 0
         for seed in range(ERROR_SEEDS):
-            listed = findings(search(fit(noisy(simulated, 7000 + seed, plane, CONTROL_M[name]))))
+            listed = findings(search(causes_in(fit(noisy(simulated, 7000 + seed, plane, CONTROL_M[name])))))
             first[listed[0].code if listed else "nothing"] += 1
             named += any(one.code == code for one in listed)
             sys.stderr.write(f"\r{code}: seed {seed + 1} of {ERROR_SEEDS}   ")

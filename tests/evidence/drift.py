@@ -17,7 +17,7 @@ import numpy as np
 from photocal.adjustment.adjusted import fit, with_measurements
 from photocal.analysis.left_out import within_flight
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.search import search
+from photocal.analysis.systematic_errors.search import causes_in, search
 from tests.evidence.portions import outcomes
 from tests.photocal.analysis.aerial import LENS, Flight, fly
 
@@ -45,7 +45,7 @@ def flown(shape: str, carried: str, seed: int) -> tuple[list[str], float, float,
     # The lens with it: only the distance of the image plane changes, by less than a pixel of distortion.
     plane = network.rays.plane * (1.0 + changed[network.rays.image, None])
     first = fit(with_measurements(network, plane))
-    found = findings(search(first))
+    found = findings(search(causes_in(first)))
     c = within_flight(first, 0)[0]
     amount, sigma, _ = c.drifts["order"]
     true = LENS["c"] * DRIFT * (shape == "drift")

@@ -16,7 +16,7 @@ import numpy as np
 
 from photocal.adjustment.adjusted import fit
 from photocal.analysis.systematic_errors.findings import findings, of_datum
-from photocal.analysis.systematic_errors.search import search
+from photocal.analysis.systematic_errors.search import causes_in, search
 from tests.photocal.analysis.aerial import Flight, fly
 
 STATED_M = np.array([0.02, 0.02, 0.05])
@@ -39,7 +39,7 @@ def analysed(images: int, seed: int, *, control: bool, shifted: bool) -> tuple[f
         values=positions.values + shifted * SHIFT_M,
         covariance=np.broadcast_to(np.diag(STATED_M**2), positions.covariance.shape).copy(),
     )
-    found = search(fit(replace(flown.network, positions=own)))
+    found = search(causes_in(fit(replace(flown.network, positions=own))))
     error = [
         float(
             (one.state.cameras[0, 0] - flown.lens.values[0]) / one.solution.camera_covariance[0, 0, 0] ** 0.5

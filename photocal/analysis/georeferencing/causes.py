@@ -142,16 +142,21 @@ def by_navigation_fixes(block: Block) -> bool:
 
 
 def causes_of(
-    block: Block, first: AdjustedNetwork | None = None, table: tuple[Fault, ...] = FAULTS
+    block: Block,
+    first: AdjustedNetwork | None = None,
+    table: tuple[Fault, ...] = FAULTS,
+    found: SystematicErrors | None = None,
 ) -> tuple[SystematicErrors | None, Separation | None]:
     """Look for what is wrong with a block, and for what it cannot separate; None where it gives no hold.
 
     first: minimum of the very same observations, where it is known.
+    found: what was found in it.
     """
     plain = without_weak_images(block)[0]
     mounted = as_mounted(plain)
     # What images state as positions is another network than the one that was adjusted.
-    first = first if mounted is plain else None
+    if mounted is not plain:
+        first = found = None
     if block.datum == "free":
         return None, None
     table = of_rays(table) if by_navigation_fixes(block) else table
@@ -159,10 +164,11 @@ def causes_of(
         mounted = without_georeference(mounted)
     at_once = None
     try:
-        if first is None:
-            with because("the block to be tested for causes"):
-                first, at_once = straightened(assemble(mounted).network)
-        found = systematic_errors(first, at_once, table)
+        if found is None:
+            if first is None:
+                with because("the block to be tested for causes"):
+                    first, at_once = straightened(assemble(mounted).network)
+            found = systematic_errors(first, at_once, table)
     except PhotocalError:
         return None, None
     apart = separation(mounted, found.shared)

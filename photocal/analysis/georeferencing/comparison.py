@@ -30,13 +30,17 @@ from photocal.analysis.georeferencing.methods import (
     Degradation,
     Georeferenced,
     Method,
+    as_adjusted,
     checkable,
     degraded,
     in_local_frame,
+    is_adjustment_of,
     of_method,
+    stands_for,
     with_attitude_angles,
     with_shutters,
 )
+from photocal.analysis.searched_block import SearchedBlock
 from photocal.base.arrays import Floats
 from photocal.base.ellipses import ellipses
 from photocal.base.errors import IllPosedError, PhotocalError
@@ -290,11 +294,14 @@ def check_block(
     done: Callable[[str], None] = lambda _: None,
     *,
     on_the_job: bool = False,
+    known: SearchedBlock | None = None,
 ) -> BlockCheck:
     """Georeference a block three ways and judge it at its ground points.
 
     on_the_job: whether camera and mounting of the direct method are those of the integrated one, not those
         that the block states; they always are where it leaves some of them open.
+
+    known: the block adjusted before: what a method would adjust again is taken from there.
 
     raises IllPosedError: when no method can be computed; the message has what was found in the ground points.
     """
@@ -305,6 +312,8 @@ def check_block(
         block = with_attitude_angles(checkable(in_local_frame(with_shutters(block))))
     except PhotocalError as refusal:
         raise type(refusal)(_with_findings(str(refusal), plausibility), where=block.name) from refusal
+    if known is not None and not is_adjustment_of(known.adjusted, typed, block):
+        known = None
     judged, refused = dict[Method, Judged](), dict[Method, str]()
     # A flight that is its own calibration takes it from the integrated method, and so does a block that
     # leaves camera or mounting open: start values are not known values.
@@ -315,15 +324,20 @@ def check_block(
                 source, note = degraded(block, *simulate), simulate[0].note
             calibrates = on_the_job or leaves_open(source)
             own = judged["integrated"].result.calibration if calibrates and "integrated" in judged else None
-            near = judged["integrated"].result.adjusted if "integrated" in judged else None
-            result = of_method(source, method, note, own if method == "direct" else None, near)
+            near = judged["integrated"].result if "integrated" in judged else None
+            if known is not None and method == stands_for(block):
+                result = as_adjusted(source, method, known.adjusted)
+            else:
+                result = of_method(source, method, note, own if method == "direct" else None, near)
             judged[method] = _judge(source, places, result, standards, question)
         except PhotocalError as refusal:
             refused[method] = str(refusal)
         done(method)
     # The minimum of the method is that of the search: it has the same observations.
     same = "integrated" if len(block.positions.image) else "indirect"
-    systematic, apart = causes_of(block, judged[same].result.adjusted if same in judged else None)
+    first = judged[same].result.adjusted if same in judged else None
+    found = known.causes if known is not None and first is known.adjusted.minimum else None
+    systematic, apart = causes_of(block, first, found=found)
     to_given = (lambda local: local) if typed.frame == "local" else block_frame(typed).to_given
     slips = typed_slips(typed, block.points.names, block.points.values, to_given)
     mistyped = mistyped_of(systematic, slips)

@@ -3,7 +3,7 @@
 A block in its own local Cartesian frame, its exteriors as antenna positions and body attitudes.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -23,7 +23,7 @@ from photocal.adjustment.mounting import (
     Positions,
     body_to_camera,
 )
-from photocal.adjustment.network import Network, covariance_matrices
+from photocal.adjustment.network import covariance_matrices
 from photocal.adjustment.readout import READOUT, adjust_moving_images
 from photocal.adjustment.rig import LATER
 from photocal.adjustment.solution import Solution
@@ -44,7 +44,8 @@ from photocal.base.policy import policy
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.motion import observed_motion
 from photocal.block.network import NetworkOfBlock, assemble, block_frame, local_positions
-from photocal.geometry.frames import LocalFrame
+from photocal.block.results.adjusted import AdjustedBlock
+from photocal.geometry.frames import LocalFrame, ShiftedFrame
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, turn_per_angle
 
@@ -73,6 +74,7 @@ class Georeferenced:
     label: what it is, with everything that a reader must know.
     fitted (n,): whether the point's surveyed coordinates took part.
     exposures (images, 6): omega, phi, kappa (rad), X, Y, Z (m); NaN where the method has none.
+    origin: what was subtracted from all coordinates in the network of `adjusted`, m.
     joint: covariance of the check points among them, shape (3 n, 3 n), in the order of `points`; None for
         direct georeferencing, and for more of them than `_MOST_JOINT`.
     calibration: camera and mounting of the integrated method, where there are positions and attitudes.
@@ -91,6 +93,7 @@ class Georeferenced:
     degrees_of_freedom: int
     test: GlobalTest | None
     adjusted: AdjustedNetwork | None
+    origin: Floats = field(default_factory=lambda: np.zeros(3))
     joint: Floats | None = None
     calibration: Calibration | None = None
     predicted: bool = True
@@ -106,11 +109,11 @@ def of_method(
     method: Method,
     note: str = "",
     calibration: Calibration | None = None,
-    near: AdjustedNetwork | None = None,
+    near: Georeferenced | None = None,
 ) -> Georeferenced:
     """Georeference a block by one method.
 
-    near: the same images and points adjusted by another method: where to start.
+    near: the same images and points by another method: where to start.
     raises ConfigurationError: when the block lacks what the method needs.
     raises PhotocalError: as the adjustment does.
     """
@@ -274,15 +277,14 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
     )
 
 
-def _adjusted(block: Block, method: Method, note: str, near: AdjustedNetwork | None) -> Georeferenced:
+def _adjusted(block: Block, method: Method, note: str, near: Georeferenced | None) -> Georeferenced:
     if block.datum == "free":
         raise ConfigurationError(
             "check points cannot test a free network: it has no datum",
             'set datum = "control"',
             where="block.toml",
         )
-    has_georeference = len(block.positions.image) or np.isfinite(block.images.sigma).any()
-    if method == "integrated" and not has_georeference:
+    if method == "integrated" and not _has_georeference(block):
         raise ConfigurationError(
             "the integrated method needs observed positions or attitudes",
             "give positions.csv, or sigmas in images.csv",
@@ -291,7 +293,51 @@ def _adjusted(block: Block, method: Method, note: str, near: AdjustedNetwork | N
     block, weak = without_weak_images(block)
     assembly = assemble(block)
     with because(f"{method} georeferencing"):
-        adjusted = adjusted_network(assembly.network, state=_start(assembly.network, near))
+        adjusted = adjusted_network(assembly.network, state=_start(assembly, near))
+    return _of_network(block, method, note, assembly, adjusted, weak)
+
+
+def is_adjustment_of(adjusted: AdjustedBlock, given: Block, block: Block) -> bool:
+    """Whether a method would adjust a block as it was adjusted: with all of its observations, and no more.
+
+    given: the block as it was read; block: the same, ready for the methods.
+    """
+    assembly, cameras = adjusted.assembly, adjusted.assembly.network.cameras
+    whole = len(assembly.rays) == len(given.observations.image) == len(block.observations.image)
+    # The same readouts were found of both, or none.
+    same_unknowns = all(
+        one.rolling == other.rolling and np.array_equal(one.estimated, other.estimated)
+        for one, other in zip(cameras, block.cameras, strict=True)
+    )
+    changed = bool(adjusted.result.variance_components) or bool(without_weak_images(block)[1].any())
+    return adjusted.block is given and given.datum == "control" and whole and same_unknowns and not changed
+
+
+def stands_for(block: Block) -> Method:
+    """Which method the adjustment of all observations of a block is."""
+    return "integrated" if _has_georeference(block) else "indirect"
+
+
+def as_adjusted(block: Block, method: Method, adjusted: AdjustedBlock) -> Georeferenced:
+    """Give a block in its local frame as it was adjusted."""
+    assembly = adjusted.assembly
+    if adjusted.block.frame != "local":
+        assembly = replace(assembly, frame=ShiftedFrame(np.zeros(3)))
+    weak = np.zeros(len(block.images.names), dtype=np.bool_)
+    return _of_network(block, method, "", assembly, adjusted.minimum, weak)
+
+
+def _has_georeference(block: Block) -> bool:
+    return bool(len(block.positions.image) or np.isfinite(block.images.sigma).any())
+
+
+def _of_network(
+    block: Block, method: Method, note: str, assembly: NetworkOfBlock, adjusted: AdjustedNetwork, weak: Flags
+) -> Georeferenced:
+    """What a method gives of an adjusted network.
+
+    weak (images,): which ones are no part of it.
+    """
     solution = adjusted.solution
     origin = local_origin(assembly)
     exposures = solution.exposures + np.concatenate([np.zeros(3), origin])
@@ -330,21 +376,27 @@ def _adjusted(block: Block, method: Method, note: str, near: AdjustedNetwork | N
         solution.degrees_of_freedom,
         global_test(solution.chi_squared, solution.degrees_of_freedom, *block.global_test),
         adjusted,
+        origin,
         joint,
         calibration,
     )
 
 
-def _start(network: Network, near: AdjustedNetwork | None) -> State | None:
+def _start(assembly: NetworkOfBlock, near: Georeferenced | None) -> State | None:
     """Start at what another method gave of the same images and points; None where they are not the same."""
-    if near is None or (near.network.image_names, near.network.point_names) != (
-        network.image_names,
-        network.point_names,
-    ):
+    network = assembly.network
+    if near is None or near.adjusted is None:
         return None
-    start, there = start_state(network), near.state
+    known = near.adjusted.network
+    if (known.image_names, known.point_names) != (network.image_names, network.point_names):
+        return None
+    there, shift = near.adjusted.state, near.origin - local_origin(assembly)
     return replace(
-        start, rotation=there.rotation, centre=there.centre, points=there.points, cameras=there.cameras
+        start_state(network),
+        rotation=there.rotation,
+        centre=there.centre + shift,
+        points=there.points + shift,
+        cameras=there.cameras,
     )
 
 

@@ -241,17 +241,23 @@ def by_navigation_fixes(network: Network) -> bool:
     return coarsely_placed(network.exposures.sigma[:, 3:], otherwise=otherwise)
 
 
-def search(
+def causes_in(
     first: AdjustedNetwork,
-    done: Callable[[], None] = lambda: None,
     at_once: SystematicError | None = None,
-) -> Search:
-    """Look for causes in an adjusted network, and at how its residuals scatter without them.
+    done: Callable[[], None] = lambda: None,
+) -> SystematicErrors:
+    """Look for causes in an adjusted network.
 
     at_once: control that was taken out of it before, since nothing could be adjusted with it.
     """
-    coarse = by_navigation_fixes(first.network)
-    causes = systematic_errors(first, at_once, of_rays() if coarse else FAULTS, done)
+    return systematic_errors(
+        first, at_once, of_rays() if by_navigation_fixes(first.network) else FAULTS, done
+    )
+
+
+def search(causes: SystematicErrors, done: Callable[[], None] = lambda: None) -> Search:
+    """Look at how the residuals of a network scatter without the causes that were found in it."""
+    first = causes.first
     last = causes.last if causes.adequate else first
     positions = shifts.position_shift(first)
     before = jackknife(first, done)

@@ -3,12 +3,14 @@
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from photocal.adjustment.adjusted import AdjustedNetwork, at_minimum
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.lasers import OFFSET, SCALE
@@ -58,6 +60,21 @@ from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, t
 
 NOTHING_MORE = Wanted()
 Report = Callable[[Iteration], None]
+
+
+@dataclass(frozen=True)
+class AdjustedBlock:
+    """A block, the network that its adjustment ended with, and the result, for the next step."""
+
+    block: Block
+    assembly: NetworkOfBlock
+    solution: Solution
+    result: Result
+
+    @cached_property
+    def minimum(self) -> AdjustedNetwork:
+        """The network at its minimum, with its factored equations."""
+        return at_minimum(self.assembly.network, self.solution)
 
 
 def result_of(
@@ -442,8 +459,17 @@ def adjust_block(
 
     raises PhotocalError: for bad input, an ill-posed network, or an output that cannot be written.
     """
-    block = read(source)
-    result, assembly, solution = _adjusted_block(block, snooping, report, wanted)
+    return write_adjusted(adjustment_of(read(source), snooping, report, wanted), source, output, wanted)
+
+
+def write_adjusted(
+    adjusted: AdjustedBlock, source: Path, output: Path, wanted: Wanted = NOTHING_MORE
+) -> Result:
+    """Write the results of an adjustment of the block that was read from `source`.
+
+    raises PhotocalError: when the output cannot be written.
+    """
+    block, result = adjusted.block, adjusted.result
     root, setup = source, ""
     if source.is_file():
         setup = next(file.path for file in block.inputs if Path(file.path).name == source.name)
@@ -454,18 +480,23 @@ def adjust_block(
     result = replace(result, block=facts)
     with output_folder(output) as aside:
         write_result(aside, result)
-        write_more(aside, block, assembly, solution, result.points.covariance, wanted)
+        more = adjusted.assembly, adjusted.solution, result.points.covariance, wanted
+        write_more(aside, block, *more)
     return result
 
 
 def adjust_network(block: Block, snooping: Test | None = None, wanted: Wanted = NOTHING_MORE) -> Result:
     """Adjust a block that is at hand; parameters and errors as of `adjust_block`."""
-    return _adjusted_block(block, snooping, None, wanted)[0]
+    return adjustment_of(block, snooping, None, wanted).result
 
 
-def _adjusted_block(
-    block: Block, snooping: Test | None, report: Report | None, wanted: Wanted
-) -> tuple[Result, NetworkOfBlock, Solution]:
+def adjustment_of(
+    block: Block,
+    snooping: Test | None = None,
+    report: Report | None = None,
+    wanted: Wanted = NOTHING_MORE,
+) -> AdjustedBlock:
+    """Adjust a block and keep what the next step needs; parameters and errors as of `adjust_block`."""
     assembly = assemble(block)
     require_motion(block, assembly.network)
     with _control_in_doubt(assembly.network):
@@ -477,7 +508,7 @@ def _adjusted_block(
         components = weighed.components
     result = result_of(block, assembly, solution, snooping=snooping, components=components)
     result = replace(result, **more_figures(block, assembly, result.points, wanted))
-    return result, assembly, solution
+    return AdjustedBlock(block, assembly, solution, result)
 
 
 @contextmanager

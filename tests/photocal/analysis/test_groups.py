@@ -12,7 +12,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.adjusted import fit, without_member
 from photocal.adjustment.groups import group_tests, member_tests
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.search import search
+from photocal.analysis.systematic_errors.search import causes_in, search
 from photocal.geometry.camera import PARAMETERS
 from tests.evidence.drift import flown
 from tests.photocal.analysis.aerial import Flight, fly
@@ -53,7 +53,7 @@ def test_the_probabilities_of_clean_groups_are_even() -> None:
 def test_positions_with_wrong_sigmas_are_named_as_that(factor: float, code: str) -> None:
     network = fly(SMALL, 2).network
     stated = replace(network.positions, covariance=network.positions.covariance * factor**2)
-    (one,) = findings(search(fit(replace(network, positions=stated))))
+    (one,) = findings(search(causes_in(fit(replace(network, positions=stated)))))
     assert (one.code, one.subject) == (code, "position")
     assert "standard deviations of GNSS antenna positions are too" in said(one)
     assert one.size is not None
@@ -68,7 +68,7 @@ def test_heights_of_control_that_are_worse_than_stated_are_named(seed: int) -> N
     known = np.diagonal(network.points.weight, axis1=1, axis2=2)[:, 2] > 0
     values = network.points.values.copy()
     values[known, 2] += noise[known]
-    listed = findings(search(fit(replace(network, points=replace(network.points, values=values)))))
+    listed = findings(search(causes_in(fit(replace(network, points=replace(network.points, values=values))))))
     assert ("sigmas-too-small", "control-Z") in {(finding.code, finding.subject) for finding in listed}
     assert "control-mistyped" not in {finding.code for finding in listed}
     assert "grave" not in {finding.severity for finding in listed}
@@ -80,7 +80,7 @@ def test_the_factor_of_a_group_is_that_of_its_errors() -> None:
     for seed in range(12):
         network = fly(replace(SMALL, sigma_px=0.7), 40 + seed).network
         stated = replace(network.positions, covariance=network.positions.covariance / 2.5**2)
-        (one,) = findings(search(fit(replace(network, positions=stated))))
+        (one,) = findings(search(causes_in(fit(replace(network, positions=stated)))))
         assert (one.code, one.subject) == ("sigmas-too-small", "position")
         held += one.figures["lower"] < 2.5 < one.figures["upper"]
     assert held >= 10
@@ -92,7 +92,7 @@ def test_an_error_of_the_camera_is_found_beside_positions_that_are_worse_than_st
         replace(one, estimated=one.estimated & (np.array(PARAMETERS) != "K3")) for one in network.cameras
     )
     stated = replace(network.positions, covariance=network.positions.covariance / 2.5**2)
-    listed = findings(search(fit(replace(network, cameras=known, positions=stated))))
+    listed = findings(search(causes_in(fit(replace(network, cameras=known, positions=stated)))))
     assert listed[0].code == "radial"
     assert any((one.code, one.subject) == ("sigmas-too-small", "position") for one in listed)
 
@@ -152,7 +152,7 @@ def test_one_gross_error_is_named_with_its_size_and_nothing_else(kind: str, inde
         values[index] += error
         wrong = replace(network, points=replace(network.points, values=values))
         name = network.point_names[index]
-    found = search(fit(wrong))
+    found = search(causes_in(fit(wrong)))
     (one,) = [told for told in findings(found) if not told.small]
     assert (one.code, one.subject) == (
         "position-contradicts" if kind == "position" else "control-mistyped", name,
@@ -167,7 +167,7 @@ def test_a_shifted_strip_is_not_blamed_on_its_positions() -> None:
     network = fly(SMALL, 5).network
     own = network.positions
     moved = own.values + (own.strip == 1)[:, None] * np.array([0.15, 0.0, 0.0])
-    found = search(fit(replace(network, positions=replace(own, values=moved))))
+    found = search(causes_in(fit(replace(network, positions=replace(own, values=moved)))))
     assert [error.hypothesis.name for error in found.causes.errors] == ["strip-position"]
     assert "strip-position" in {one.code for one in findings(found)}
 

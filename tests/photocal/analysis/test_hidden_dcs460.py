@@ -12,7 +12,7 @@ import pytest
 from photocal.adjustment.adjusted import AdjustedNetwork, fit, with_measurements
 from photocal.analysis.robust import jackknife
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.search import Search, search
+from photocal.analysis.systematic_errors.search import Search, causes_in, search
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.findings.finding import Finding
@@ -34,14 +34,14 @@ def published(dcs460_block: Path) -> AdjustedNetwork:
 
 @pytest.fixture(scope="module")
 def told_nothing(published: AdjustedNetwork) -> Search:
-    return search(published)
+    return search(causes_in(published))
 
 
 @pytest.fixture(scope="module")
 def square(published: AdjustedNetwork) -> Search:
     """The block with y multiplied by the ratio of the pitches, which makes the pixels square."""
     plane = published.network.rays.plane * np.array([1.0, SQUARE])
-    return search(fit(with_measurements(published.network, plane), published.state))
+    return search(causes_in(fit(with_measurements(published.network, plane), published.state)))
 
 
 def of_kind(listed: tuple[Finding, ...], kind: str) -> Finding:
@@ -68,7 +68,7 @@ def test_the_y_scale_agrees_with_a_second_method(published: AdjustedNetwork) -> 
     allowed = replace(own, estimated=estimated, affinity="before")
     solution = fit(replace(published.network, cameras=(allowed,)), published.state).solution
     b1 = float(solution.cameras[0][PARAMETERS.index("B1")])
-    causes = search(published).causes
+    causes = search(causes_in(published)).causes
     ((found,),) = [error.hypothesis.estimates for error in causes.errors]
     # There the errors of measurement were stretched with the coordinates.
     near = 0.05 * found.sigma

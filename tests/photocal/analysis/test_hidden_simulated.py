@@ -13,7 +13,7 @@ from photocal.adjustment.network import Relations
 from photocal.analysis.left_out import within_flight
 from photocal.analysis.robust import jackknife
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.search import search
+from photocal.analysis.systematic_errors.search import causes_in, search
 from photocal.analysis.systematic_errors.shifts import joint_shift
 from photocal.base.arrays import Floats
 from photocal.findings.finding import Finding
@@ -39,7 +39,7 @@ def networks() -> dict[str, Simulated]:
 
 
 def found(simulated: Simulated, seed: int, plane: Floats, control_m: float = 0.002) -> tuple[Finding, ...]:
-    return findings(search(fit(noisy(simulated, seed, plane, control_m))))
+    return findings(search(causes_in(fit(noisy(simulated, seed, plane, control_m)))))
 
 
 @pytest.mark.parametrize("which", ["convergent", "flight"])
@@ -73,7 +73,7 @@ def test_what_changes_c_by_less_than_any_use_of_it_is_small(
     """However precise c is, 1 cm in 100 m of height is no reservation."""
     exact = networks["convergent"].exact
     plane = exact - 0.0008 * np.column_stack([exact[:, 1], np.zeros(len(exact))])
-    causes = search(fit(noisy(networks["convergent"], 4, plane, 0.002))).causes
+    causes = search(causes_in(fit(noisy(networks["convergent"], 4, plane, 0.002)))).causes
     solution, error = causes.first.solution, causes.errors[0]
     change = (-share * float(solution.cameras[0, 0]),)
     precise = replace(solution, camera_covariance=1e-8 * solution.camera_covariance)
@@ -122,7 +122,7 @@ def test_a_wrong_sigma_is_found(
     networks: dict[str, Simulated], factor: float, words: str, small: bool
 ) -> None:
     network = with_sigmas(noisy(networks["convergent"], 7), 1.0 / factor)
-    (one,) = findings(search(fit(network)))
+    (one,) = findings(search(causes_in(fit(network))))
     assert (one.code, one.small) == ("observation-sigma", small)
     assert f"the precisions are {words}" in said(one)
     # Too much assumed: the figure is the rms of the residuals, of which the unknowns took a part.
@@ -266,7 +266,7 @@ def test_a_principal_distance_that_changes_within_the_flight_is_named(shape: str
     network = with_measurements(flown, flown.rays.plane * (1.0 + change[flown.rays.image, None]))
     network = replace(network, exposures=replace(network.exposures, time=time))
     fitted = fit(network)
-    first = findings(search(fitted))[0]
+    first = findings(search(causes_in(fitted)))[0]
     assert first.code == code
     # 0.3 % are told apart; a fortieth of it are not.
     assert not first.figures.get("alike")
@@ -294,5 +294,5 @@ def test_what_each_image_has_otherwise_is_no_missing_term(networks: dict[str, Si
     chi_squared, freedom = these.fall((radial,))
     f = (fitted.solution.chi_squared - chi_squared) / (chi_squared / freedom)
     assert stats.f.sf(f, 1, freedom) < 1e-6
-    codes = {one.code for one in findings(search(fitted))}
+    codes = {one.code for one in findings(search(causes_in(fitted)))}
     assert not codes & {"radial", "decentring", "c-bias"}

@@ -11,7 +11,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.adjusted import fit
 from photocal.adjustment.mounting import SHIFT as COLUMNS
 from photocal.analysis.systematic_errors.findings import findings, of_datum
-from photocal.analysis.systematic_errors.search import search
+from photocal.analysis.systematic_errors.search import causes_in, search
 from photocal.analysis.systematic_errors.shifts import position_shift
 from tests.photocal.analysis.aerial import Flight, fly
 from tests.photocal.analysis.findings import said, sized
@@ -25,7 +25,7 @@ def test_positions_below_control_are_named_and_c_is_cleared_of_them() -> None:
     flown = fly(replace(FLIGHT, images=100, rays=14_000, control_points=25), 5)
     positions = flown.network.positions
     network = replace(flown.network, positions=replace(positions, values=positions.values + SHIFT))
-    found = search(fit(network))
+    found = search(causes_in(fit(network)))
     listed = findings(found)
     assert listed[0].code == "antenna-height"
     assert abs(sized(listed[0]).figure - SHIFT[2]) < 4 * (sized(listed[0]).sigma or 0.0)
@@ -57,7 +57,7 @@ def test_the_block_in_which_a_missing_k4_was_claimed_gets_no_finding() -> None:
         own = network.cameras[0]
         # What is held has its true value.
         assert own.value("B1") == pytest.approx(2e-4)
-        assert findings(search(fit(network))) == ()
+        assert findings(search(causes_in(fit(network)))) == ()
 
 
 def test_c_is_said_to_hang_on_the_height_datum_by_what_a_shift_does_to_it() -> None:
@@ -68,21 +68,21 @@ def test_c_is_said_to_hang_on_the_height_datum_by_what_a_shift_does_to_it() -> N
     lower = replace(network.positions, values=network.positions.values + np.array([0.0, 0.0, -0.01]))
     moved = fit(replace(network, positions=lower)).state.cameras[0, 0] - first.state.cameras[0, 0]
     assert moved == pytest.approx(-0.01 * found.c_by_shift[0, 2], rel=0.01)
-    (told,) = of_datum(search(first))
+    (told,) = of_datum(search(causes_in(first)))
     assert told.code == "c-on-positions"
     assert abs(float(told.figures["by_cm"])) == pytest.approx(abs(moved), rel=0.01)
 
 
 def test_heights_without_control_are_said_to_hang_on_the_positions() -> None:
     first = fit(fly(replace(FLIGHT, control=False), 6).network)
-    assert [one.code for one in of_datum(search(first))] == ["heights-on-positions"]
+    assert [one.code for one in of_datum(search(causes_in(first)))] == ["heights-on-positions"]
 
 
 def test_a_shift_by_chance_does_not_call_c_biased() -> None:
     """Of 300 clean flights the worst: 71 mm, 3.2 standard deviations; it moves c by 5.3 of its own."""
     block = Flight(182, 23_254, sigma_px=0.845)
     first = fit(fly(block, 1250).network)
-    listed = findings(search(first))
+    listed = findings(search(causes_in(first)))
     assert "c-bias" not in [one.code for one in listed]
 
 
@@ -91,7 +91,9 @@ def test_a_strip_whose_positions_lie_beside_the_others_is_named_with_its_shift()
     positions = network.positions
     own = positions.strip == 2
     moved = replace(positions, values=positions.values + own[:, None] * np.array([0.12, 0.0, 0.0]))
-    listed = [one for one in findings(search(fit(replace(network, positions=moved)))) if not one.small]
+    listed = [
+        one for one in findings(search(causes_in(fit(replace(network, positions=moved))))) if not one.small
+    ]
     (told,) = [one for one in listed if one.code == "strip-position"]
     first, last = (network.image_names[i] for i in positions.image[own][[0, -1]])
     assert told.subject == f"{first}-{last}"
