@@ -42,6 +42,8 @@ def without_gross_rays(first: AdjustedNetwork) -> tuple[AdjustedNetwork, Flags]:
     if not gross.any():
         return first, gross
     kept = gross & ~_whole_points(network, gross) & ~_fitting(given)
+    if not kept.any():
+        return first, kept
     back = given if (kept == gross).all() else _aside(given, network, kept)
     return (given, gross) if back is None else (back, kept)
 

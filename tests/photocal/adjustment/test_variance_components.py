@@ -16,12 +16,14 @@ from photocal.adjustment.variance_components import (
     estimate_components,
     rays_by_camera,
     rays_together,
+    settled_factor,
     with_factors,
 )
 from photocal.base.errors import IllPosedError
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from tests.photocal import blocks, networks, oracle
+from tests.photocal.analysis.georeferencing import flights
 
 RUNS = 60
 # What the standard deviations that enter have to be multiplied by.
@@ -180,3 +182,24 @@ def test_reports_every_iteration() -> None:
     note: Callable[[object], None] = lambda iteration: seen.append(iteration.chi_squared)  # type: ignore[attr-defined]  # noqa: E731
     estimate_components(wrongly_weighted(scene(), 5), report=note)
     assert len(seen) > 3
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Network:
+    """A flight with positions and attitudes."""
+    plan = flights.Plan(tie=40, estimate=("c", "x0", "y0", "K1"), mounting="lever_arm_sigma_m = 0.02")
+    folder = flights.fly(tmp_path_factory.mktemp("flown") / "block", np.random.default_rng(8), plan=plan)
+    return assemble(read_block(folder)).network
+
+
+@pytest.mark.parametrize("stated", [0.2, 1.0, 5.0])
+@pytest.mark.parametrize("group", ["position", "attitude"])
+def test_a_factor_settles_without_adjustments_as_with_them(flown: Network, group: str, stated: float) -> None:
+    """Rounds of adjustments (Foerstner 1979) against rounds with the derivatives of one minimum."""
+    network = with_factors(flown, rays_together(flown), {group: stated})
+    others = {"image", "position", "attitude", "mounting", "control"} - {group}
+    components = estimate_components(network, hold=others, settled=1e-6).components
+    (known,) = (part for part in components if part.name == group)
+    found = settled_factor(fit(network).factored, group)
+    # What is left is the curvature of the equations over the way from one minimum to the other.
+    assert found == pytest.approx(known.factor, rel=0.01)
