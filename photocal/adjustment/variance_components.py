@@ -20,7 +20,8 @@ from photocal.adjustment.groups import groups_of_rays
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import diagonal_addresses
 from photocal.adjustment.solution import ComponentFactor, Group, Solution
-from photocal.adjustment.solver import Iteration
+from photocal.adjustment.solver import Iteration, moved_by
+from photocal.adjustment.state import State
 from photocal.base.arrays import Integers
 from photocal.base.errors import IllPosedError, NotConvergedError
 
@@ -116,8 +117,10 @@ def estimate_components(
     )
 
 
-def settled_factor(at: Factored, name: str) -> float:
+def settled_factor(at: Factored, name: str) -> tuple[float, State]:
     """By what the standard deviations of a group beside rays and points must be multiplied to agree.
+
+    The state is that to which they then lead, to first order.
 
     The rounds of `estimate_components`, with the derivatives of one minimum: images and points stay as they
     are eliminated, so that a round costs a factorisation and no pass over the rays.
@@ -129,7 +132,7 @@ def settled_factor(at: Factored, name: str) -> float:
     given, held = product(structure, at.normal.matrix), at.problem.held
     row_of = np.repeat(np.arange(len(rows.weight)), np.diff(rows.start))
     held_diagonal = diagonal_addresses(at.problem)[held]
-    total, before = 1.0, 0.0
+    total, before, step = 1.0, 0.0, np.zeros(at.problem.layout.size)
     for _ in range(most_rounds):
         matrix, gradient = given.copy(), at.normal.gradient.copy()
         added = rows._replace(weight=rows.weight * (total**-2.0 - 1.0))
@@ -138,6 +141,7 @@ def settled_factor(at: Factored, name: str) -> float:
         if factorise(structure, matrix) >= 0:
             break
         step = solve(structure, matrix, -gradient)
+        step[held] = 0.0
         residual = rows.residual + np.bincount(row_of, rows.coefficient * step[rows.column], len(rows.weight))
         taken = equation_covariance(rows, structure, selected_inverse(structure, matrix), 1).ravel()
         weight = rows.weight / total**2
@@ -148,7 +152,7 @@ def settled_factor(at: Factored, name: str) -> float:
         if abs(change) < SETTLED:
             break
         before = change
-    return total
+    return total, moved_by(at.problem, at.state, at.normal, step)[0]
 
 
 def _components(

@@ -157,13 +157,13 @@ def systematic_errors(
         # Points are eliminated, with what is known of them: only an adjustment tells what their sigmas do.
         made = steps.setdefault(wrong.name, [])
         if wrong.name in CONTROL:
-            factor = _step(wrong.factor, made)
+            factor, near = _step(wrong.factor, made), given.state
         else:
-            factor = settled_factor(given.factored, wrong.name)
+            factor, near = settled_factor(given.factored, wrong.name)
             made.append(math.log(factor))
         known = sigmas.get(wrong.name)
         sigmas[wrong.name] = replace(known or wrong, factor=factor * (1.0 if known is None else known.factor))
-        given = _with_sigmas(given, wrong.name, factor)
+        given = _with_sigmas(given.network, wrong.name, factor, near)
         done()
     accepted, search = _placed(search, search.chosen(alone), table, against)
     last, errors, confirmed = given, list[SystematicError](), list[Cause]()
@@ -368,9 +368,9 @@ def _settled(sigmas: dict[str, GroupTest], given: AdjustedNetwork) -> tuple[Grou
     )
 
 
-def _with_sigmas(given: AdjustedNetwork, name: str, factor: float) -> AdjustedNetwork:
+def _with_sigmas(network: Network, name: str, factor: float, near: State) -> AdjustedNetwork:
     """Adjust with the standard deviations of a group that agree (Foerstner 1979)."""
-    network, factor = given.network, factor**2
+    factor = factor**2
     if name == "position":
         positions = replace(network.positions, covariance=network.positions.covariance * factor)
         network = replace(network, positions=positions)
@@ -383,7 +383,7 @@ def _with_sigmas(given: AdjustedNetwork, name: str, factor: float) -> AdjustedNe
         weight = network.points.weight * scale[:, None] * scale
         network = replace(network, points=replace(network.points, weight=weight))
     with because(f"standard deviations of {name}s that agree"):
-        return fit(network, given.state)
+        return fit(network, near)
 
 
 def _confirmed(

@@ -2,7 +2,7 @@
 
 Processor time of each step, all threads together, in one process that has loaded everything before; medians.
 
-Usage: python -m tests.benchmarks.judge_block IMAGES RAYS_PER_IMAGE [--repeat N] [--profile STEP]
+Usage: python -m tests.benchmarks.judge_block IMAGES RAYS_PER_IMAGE [--stated F] [--repeat N] [--profile STEP]
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import photocal
@@ -37,9 +38,11 @@ def steps(block: photocal.Block) -> dict[str, Callable[[], object]]:
     }
 
 
-def flown(design: Design, folder: Path) -> photocal.Block:
-    """A clean flight of a design."""
-    return photocal.read_block(fly(folder, design, Errors(), 0).folder)
+def flown(design: Design, folder: Path, stated: float = 1.0) -> photocal.Block:
+    """A clean flight of a design, whose positions state so many times their standard deviations."""
+    block = photocal.read_block(fly(folder, design, Errors(), 0).folder)
+    covariance = block.positions.covariance * stated**2
+    return replace(block, positions=replace(block.positions, covariance=covariance))
 
 
 def measure(block: photocal.Block, repeat: int) -> dict[str, object]:
@@ -61,6 +64,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("images", type=int)
     parser.add_argument("rays_per_image", type=int)
+    parser.add_argument("--stated", type=float, default=1.0, help="sigmas of positions over the true ones")
     parser.add_argument("--repeat", type=int, default=3)
     parser.add_argument("--profile", choices=("adjust", "analyse", "check"))
     asked = parser.parse_args()
@@ -68,7 +72,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         for step in steps(flown(SMALL, Path(scratch) / "small")).values():
             step()
-        block = flown(design, Path(scratch) / "flight")
+        block = flown(design, Path(scratch) / "flight", asked.stated)
     if asked.profile:
         step, profile = steps(block)[asked.profile], cProfile.Profile(time.process_time)
         profile.runcall(step)
