@@ -8,8 +8,9 @@ import typer
 
 from acquire.channels.mounting import mounting_lines
 from acquire.commands.texts import texts
-from photocal.base.console import AsJson, Language, answer, argument, option, progress
+from photocal.base.console import AsJson, Language, answer, argument, option
 from photocal.base.errors import ConfigurationError
+from photocal.base.progress_bars import progress
 from photocal.base.sentences import Texts, spoken
 
 if TYPE_CHECKING:

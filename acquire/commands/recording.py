@@ -18,9 +18,9 @@ from photocal.base.console import (
     argument,
     error_lines,
     option,
-    progress,
     write_through,
 )
+from photocal.base.progress_bars import progress
 from photocal.base.sentences import Texts, spoken
 
 if TYPE_CHECKING:

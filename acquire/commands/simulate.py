@@ -6,17 +6,9 @@ from typing import Annotated, get_args
 import typer
 
 from acquire.commands.texts import texts
-from photocal.base.console import (
-    AsJson,
-    Language,
-    answer,
-    application,
-    argument,
-    option,
-    progress,
-    refuse_before,
-)
+from photocal.base.console import AsJson, Language, answer, application, argument, option, refuse_before
 from photocal.base.errors import ConfigurationError, OutputError
+from photocal.base.progress_bars import progress
 from photocal.base.sentences import spoken
 
 FAULTS = (

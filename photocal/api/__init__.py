@@ -447,7 +447,7 @@ def measure(images: str | Path, *, options: MeasureOptions | None = None) -> Mea
     >>> photocal.measure("boards", options=board).block.images.names
     ('view1.png', 'view2.png', 'view3.png', 'view4.png')
     """
-    from photocal.base.console import progress
+    from photocal.base.progress_bars import progress
     from photocal.block.project import read_project
     from photocal.measurement.options import MeasureOptions
     from photocal.measurement.picture_block import measure as measured
@@ -495,8 +495,8 @@ def run_project(
     """
     import datetime as dt
 
-    from photocal.base.console import one_bar
     from photocal.base.progress import quiet
+    from photocal.base.progress_bars import one_bar
     from photocal.block.project import read_project
     from photocal.run.campaign import run_project as brought_up_to_date
 

@@ -1,4 +1,4 @@
-"""What both commands share at the terminal: errors in one line, exit codes, progress, JSON."""
+"""What both commands share at the terminal: errors in one line, exit codes, JSON."""
 
 import atexit
 import gc
@@ -10,14 +10,12 @@ import re
 import shutil
 import sys
 import textwrap
-import time
 import types
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, redirect_stderr
+from contextlib import redirect_stderr
 from dataclasses import MISSING, dataclass, fields
 from functools import partial, wraps
 from importlib import import_module
-from types import MappingProxyType
 from typing import (
     TYPE_CHECKING,
     Annotated,
@@ -44,17 +42,9 @@ from photocal.base.errors import (
     of_system,
 )
 from photocal.base.options import Option, Options
-from photocal.base.progress import Bar, Standing
 
 if TYPE_CHECKING:
     from photocal.base.sentences import Texts
-
-# Into a file, or to a program that reads along, a line of progress is written so often.
-LINE_EVERY_S = 10.0
-# What such a line says behind the title.
-_LEFT = "{share}%, {seconds} s left"
-# The same of a whole run, in a line and beside a bar.
-OF_RUN, ON_BAR = "{share}% of the run, {seconds} s left", "{clock} left"
 
 
 class _Late(Mapping[str, Any]):
@@ -469,126 +459,6 @@ def write_through(stream: TextIO, text: str) -> None:
         if written is None:
             raise BlockingIOError("accepts no output now")
         left = left[written:]
-
-
-class _Lines:
-    """A line now and then: what is done of a piece of work, and the time left."""
-
-    def __init__(self, title: str, total: float | None, left: str) -> None:
-        self._title, self._total, self._left, self._done = title, total, left, 0.0
-        self._began = self._shown_s = time.monotonic()
-
-    def advance(self, amount: float) -> None:
-        """Count what was done since the last call."""
-        self._done += amount
-        now = time.monotonic()
-        if now - self._shown_s < LINE_EVERY_S:
-            return
-        self._shown_s, elapsed = now, now - self._began
-        line = f"{self._title}: {elapsed:.0f} s"
-        # Unfinished work shows neither 100 % nor 0 s left. Before the first per cent the time left is
-        # unknown: kernels may be compiled.
-        if self._total and (share := math.floor(100 * self._done / self._total)):
-            seconds = math.ceil(max(elapsed * (self._total / self._done - 1), 0))
-            line = f"{self._title}: {self._left.format(share=share, seconds=seconds)}"
-        print(line, file=sys.stderr, flush=True)
-
-
-@contextmanager
-def progress(title: str, total: float | None, left: str = _LEFT) -> Iterator[Callable[[float], None]]:
-    """Show on standard error how far a longer piece of work is: a bar, or a line now and then into a file.
-
-    total: the amount of work, in any unit; None when it is not known.
-    left: how a line says the share that is done, %, and the seconds left.
-    """
-    if not sys.stderr.isatty():
-        # The import of the bar would cost more than many a piece of work.
-        yield _Lines(title, total, left).advance
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(title, total=total)
-        yield lambda amount: bar.advance(task, amount)
-
-
-def one_bar(as_json: bool = False, words: Mapping[str, str] = MappingProxyType({})) -> Bar:
-    """Show a run of several stages on standard error by one bar, or line by line into a file or as JSON.
-
-    words: titles of work, `OF_RUN` and `ON_BAR` in the language of the person, where that is not English.
-    """
-    # To a program that asked for JSON.
-    json_every_s = 2.0
-    if as_json:
-        return partial(_as_lines, json_every_s, _as_json)
-    if sys.stderr.isatty():
-        return partial(_on_terminal, words)
-    return partial(_as_lines, LINE_EVERY_S, partial(_in_words, words))
-
-
-@contextmanager
-def _on_terminal(words: Mapping[str, str]) -> Iterator[Callable[[Standing], None]]:
-    from rich.console import Console
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as RichProgress
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[left]}"),
-    )
-    with RichProgress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=1.0, left="")
-
-        def show(now: Standing) -> None:
-            """Draw it anew."""
-            left = words.get(ON_BAR, ON_BAR).format(clock=clock(now.left_s))
-            bar.update(task, description=_doing(now, words), completed=now.share, left=left)
-
-        yield show
-
-
-@contextmanager
-def _as_lines(every_s: float, line: Callable[[Standing], str]) -> Iterator[Callable[[Standing], None]]:
-    last = -math.inf
-
-    def show(now: Standing) -> None:
-        """Write a line now and then."""
-        nonlocal last
-        if now.elapsed_s - last >= every_s - 0.5:
-            last = now.elapsed_s
-            print(line(now), file=sys.stderr, flush=True)
-
-    yield show
-
-
-def _in_words(words: Mapping[str, str], now: Standing) -> str:
-    doing = f"{_doing(now, words)}: " if now.stage or now.title else ""
-    left = words.get(OF_RUN, OF_RUN)
-    return doing + left.format(share=math.floor(100 * now.share), seconds=math.ceil(now.left_s))
-
-
-def _as_json(now: Standing) -> str:
-    kept = {"stage": now.stage, "title": now.title, "share": round(now.share, 4)}
-    seconds = {"left_s": round(now.left_s, 1), "elapsed_s": round(now.elapsed_s, 1)}
-    return json.dumps({"progress": kept | seconds})
-
-
-def _doing(now: Standing, words: Mapping[str, str]) -> str:
-    # A stage of one piece of work has its name, by which `--again` and `--until` know it.
-    title = "" if now.title == now.stage else words.get(now.title, now.title)
-    return printable(": ".join(filter(None, (now.stage, title))))
-
-
-def clock(seconds: float) -> str:
-    """Write seconds as hours, minutes and seconds."""
-    minutes, rest = divmod(math.ceil(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}"
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,10 @@ from photocal.base.console import (
     argument,
     option,
     printable,
-    progress,
     spread,
 )
 from photocal.base.errors import ConfigurationError
+from photocal.base.progress_bars import progress
 from photocal.report.options import CertificateOptions
 
 

@@ -11,21 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from photocal.analysis.accuracy.options import JudgementOptions, MapOptions
 from photocal.analysis.georeferencing.options import RepetitionOptions
-from photocal.base.console import (
-    AsJson,
-    Details,
-    Language,
-    answer,
-    argument,
-    numbers_of,
-    one_bar,
-    option,
-    progress,
-    spread,
-)
+from photocal.base.console import AsJson, Details, Language, answer, argument, numbers_of, option, spread
 from photocal.base.errors import ConfigurationError
 from photocal.base.options import Option, Options
 from photocal.base.progress import quiet
+from photocal.base.progress_bars import one_bar, progress
 from photocal.products.options import ProductOptions
 
 if TYPE_CHECKING:

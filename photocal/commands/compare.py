@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from photocal.base.console import AsJson, Language, answer, argument, option, progress
+from photocal.base.console import AsJson, Language, answer, argument, option
+from photocal.base.progress_bars import progress
 
 if TYPE_CHECKING:
     from photocal.run.calibrations import Calibrated, Use

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from photocal.base.console import Address, Answering, answer, argument, option, printable, progress, spread
+from photocal.base.console import Address, Answering, answer, argument, option, printable, spread
 from photocal.base.errors import ConfigurationError
+from photocal.base.progress_bars import progress
 
 if TYPE_CHECKING:
     from photocal.findings.texts import Catalogue

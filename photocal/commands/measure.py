@@ -8,9 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from photocal.base.console import AsJson, Language, answer, argument, option, progress, spread
+from photocal.base.console import AsJson, Language, answer, argument, option, spread
 from photocal.base.errors import ConfigurationError
 from photocal.base.policy import policy
+from photocal.base.progress_bars import progress
 from photocal.measurement.options import MeasureOptions, RadiometryOptions
 
 if TYPE_CHECKING:

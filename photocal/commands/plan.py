@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import Annotated
 
-from photocal.base.console import AsJson, Language, answer, argument, option, progress, spread
+from photocal.base.console import AsJson, Language, answer, argument, option, spread
 from photocal.base.errors import InputNotFoundError
+from photocal.base.progress_bars import progress
 from photocal.planning.options import (
     FlightOptions,
     FlownOptions,

@@ -10,20 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from photocal.base.console import (
-    OF_RUN,
-    ON_BAR,
-    Address,
-    AsJson,
-    Details,
-    Language,
-    answer,
-    argument,
-    one_bar,
-    option,
-    printable,
-    progress,
-)
+from photocal.base.console import Address, AsJson, Details, Language, answer, argument, option, printable
+from photocal.base.progress_bars import OF_RUN, ON_BAR, one_bar, progress
 
 if TYPE_CHECKING:
     from photocal.findings.texts import Catalogue

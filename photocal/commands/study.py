@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from photocal.base.console import AsJson, Language, answer, argument, option, progress
+from photocal.base.console import AsJson, Language, answer, argument, option
+from photocal.base.progress_bars import progress
 
 
 def study(

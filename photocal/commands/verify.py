@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from photocal.base.console import Answering, Language, answer, argument, option, printable, progress, spread
+from photocal.base.console import Answering, Language, answer, argument, option, printable, spread
 from photocal.base.errors import (
     ConfigurationError,
     InputMalformedError,
@@ -15,6 +15,7 @@ from photocal.base.errors import (
     NotSignedError,
     UnknownSignerError,
 )
+from photocal.base.progress_bars import progress
 
 if TYPE_CHECKING:
     from photocal.findings.texts import Catalogue

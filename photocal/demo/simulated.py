@@ -15,9 +15,9 @@ from typing import Any
 
 import typer
 
-from photocal.base.console import progress
 from photocal.base.errors import DeviceError
 from photocal.base.operating_system import CHILD_FLAGS, interrupt
+from photocal.base.progress_bars import progress
 from photocal.block.results.folder import read_result
 from photocal.block.results.result import Result
 

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.base.console import numbers_of, progress
+from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_folder, write_json
 from photocal.base.operating_system import cache_folder
+from photocal.base.progress_bars import progress
 from photocal.block.project import read_project
 from photocal.measurement.match_images import MatchingPlan
 from photocal.navigation.common_errors import parse_weather

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from photocal.base.console import numbers_of, progress
+from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import refuse_input_as_output
+from photocal.base.progress_bars import progress
 from photocal.findings.texts import Catalogue, catalogue
 from photocal.products import ortho_job
 from photocal.products.options import OrthoOptions

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from photocal.base.console import progress
+from photocal.base.progress_bars import progress
 from photocal.block.results.folder import CARRIED
 from photocal.findings.document import Document
 from photocal.measurement.image_facts import read_facts

@@ -111,7 +111,7 @@ def test_every_progress_is_said_in_the_language() -> None:
 def test_progress_is_said_in_both_languages(
     acquire: Acquire, demo_flight: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("photocal.base.console.LINE_EVERY_S", 0.0)
+    monkeypatch.setattr("photocal.base.progress_bars.LINE_EVERY_S", 0.0)
     recording = tmp_path / "voo.tlog"
     recording.write_bytes(demo_flight)
     for language, form in (

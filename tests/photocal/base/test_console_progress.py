@@ -6,17 +6,17 @@ import re
 
 import pytest
 
-from photocal.base import console
+from photocal.base import progress_bars
 
 
 def test_a_file_gets_a_line_now_and_then(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(console, "LINE_EVERY_S", 0.0)
-    with console.progress("matching", 4) as advance:
+    monkeypatch.setattr(progress_bars, "LINE_EVERY_S", 0.0)
+    with progress_bars.progress("matching", 4) as advance:
         advance(1)
         advance(3)
-    with console.progress("listening", None) as advance:
+    with progress_bars.progress("listening", None) as advance:
         advance(1)
     lines = capsys.readouterr().err.splitlines()
     assert [re.sub(r"\d+ s", "N s", line) for line in lines] == [
@@ -25,6 +25,6 @@ def test_a_file_gets_a_line_now_and_then(
         "listening: N s",
     ]
     monkeypatch.undo()
-    with console.progress("short", 2) as advance:
+    with progress_bars.progress("short", 2) as advance:
         advance(1)
     assert capsys.readouterr().err == ""

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from photocal.base.console import one_bar
 from photocal.base.progress import Standing, quiet
+from photocal.base.progress_bars import one_bar
 from photocal.commands.project import progress_words
 from photocal.findings.texts import catalogue
 from photocal.run.course import Course, about_rays, expected, followed, into, usual_pieces

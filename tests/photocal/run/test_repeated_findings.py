@@ -25,7 +25,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import issue
-from photocal.run.calibration import certificate_stage
+from photocal.run.calibration import calibrated_once, certificate_stage
 from photocal.run.georeferencing import georeferencing_stage
 from photocal.run.summary import gather
 from tests.photocal.analysis.georeferencing.flights import Plan, fly
@@ -66,7 +66,9 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Project:
     analyse_run(work / "analysis", work / "block")
     (work / "georeferencing").mkdir()
     read = read_project(folder / "project.toml")
-    georeferencing_stage(read, work / "block", read_block).make(work / "georeferencing", quiet)
+    block = work / "block"
+    stage = georeferencing_stage(read, block, read_block, calibrated_once(block, read_block))
+    stage.make(work / "georeferencing", quiet)
     return read
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from photocal.base.console import progress
+from photocal.base.progress_bars import progress
 from photocal.block.project import read_project
 from photocal.exchange.pinhole import Pinhole, from_pinhole
 from photocal.findings.texts import catalogue, finding_text
