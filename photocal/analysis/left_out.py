@@ -10,6 +10,7 @@ import numpy as np
 from scipy import special
 
 from photocal.adjustment.adjusted import AdjustedNetwork, lowest
+from photocal.adjustment.ledger import because
 from photocal.adjustment.near import with_held
 from photocal.adjustment.score import score
 from photocal.adjustment.shake import carried
@@ -58,24 +59,28 @@ class WithoutParameter:
 
 def without_parameter(fit: AdjustedNetwork, camera: int, parameter: int) -> Near:
     """Find the minimum with a parameter at zero: near the one with it, or from anew."""
-    interior, current = fit.network.cameras[camera], fit.state.cameras
+    interior, state = fit.network.cameras[camera], fit.state
+    # Left of each adjustment, see `minimise`: some 1e-3 standard deviations.
+    near = 1e-6
     if interior.prior_correlation is None:
         active, columns = fit.factored.problem.layout.camera_columns[camera]
         column = int(columns[active == parameter][0])
-        # Left of each adjustment, see `minimise`: some 1e-3 standard deviations.
-        near = 1e-6
-        found = with_held(fit.factored, column, -float(current[camera, parameter]), near)
+        found = with_held(fit.factored, column, -float(state.cameras[camera, parameter]), near)
         # Its prior goes with it; infinite where there is none.
         of_prior = float((interior.values[parameter] / interior.prior_sigma[parameter]) ** 2)
         if found.reached:
             return replace(found, chi_squared=found.chi_squared - of_prior)
-    estimated, values, start = interior.estimated.copy(), interior.values.copy(), current.copy()
+        if np.isfinite(found.chi_squared):
+            state = found.state
+    estimated, values, start = interior.estimated.copy(), interior.values.copy(), state.cameras.copy()
     estimated[parameter], values[parameter], start[camera, parameter] = False, 0.0, 0.0
     cameras = list(fit.network.cameras)
     cameras[camera] = replace(interior, estimated=estimated, values=values)
     without = replace(fit.network, cameras=tuple(cameras))
     # Without a readout no image departs from the given motion.
-    return lowest(without, carried(fit.network, without, replace(fit.state, cameras=start)))
+    start_near = carried(fit.network, without, replace(state, cameras=start))
+    with because(f"without {PARAMETERS[parameter]}"):
+        return lowest(without, start_near, near)
 
 
 def left_out(

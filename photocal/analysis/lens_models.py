@@ -237,4 +237,6 @@ def _predicted(fitted: AdjustedNetwork, rest: State, out: Flags) -> tuple[float,
     )
     state = replace(fitted.state, cameras=rest.cameras, common=rest.common, points=rest.points)
     alone, state = without_images(by_rays, state, ~out)
-    return lowest(alone, state, NEAR).chi_squared, 2 * int(kept.sum()) - 6 * int(out.sum())
+    with because("images oriented on the points of all others"):
+        chi_squared = lowest(alone, state, NEAR).chi_squared
+    return chi_squared, 2 * int(kept.sum()) - 6 * int(out.sum())

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, TextIO
 
-from photocal.adjustment.ledger import ledger
+from photocal.adjustment.ledger import because, ledger
 from photocal.base.codec import kept_json
 from photocal.base.console import printable
 from photocal.base.errors import InputNotFoundError, OutputError
@@ -337,7 +337,7 @@ def _made(
     if record is not None:
         return True, record
     began = time.monotonic()
-    with replaced_folder(folder) as aside, ledger() as adjustments:
+    with replaced_folder(folder) as aside, ledger() as adjustments, because(stage.title):
         stage.make(aside, progress)
         seconds = time.monotonic() - began
         content = {

@@ -14,13 +14,18 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.condensed import Condensed
 from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, SHIFT, TIME, body_to_camera
 from photocal.adjustment.readout import READOUT
 from photocal.analysis.accuracy import ground_points
-from photocal.analysis.georeferencing.methods import as_mounted, without_georeference, without_weak_images
+from photocal.analysis.georeferencing.methods import (
+    Georeferenced,
+    as_mounted,
+    start_near,
+    without_georeference,
+    without_weak_images,
+)
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, PhotocalError
 from photocal.block.model import Block, ObjectPoints
@@ -143,20 +148,24 @@ def by_navigation_fixes(block: Block) -> bool:
 
 def causes_of(
     block: Block,
-    first: AdjustedNetwork | None = None,
+    near: Georeferenced | None = None,
     table: tuple[Fault, ...] = FAULTS,
     found: SystematicErrors | None = None,
 ) -> tuple[SystematicErrors | None, Separation | None]:
     """Look for what is wrong with a block, and for what it cannot separate; None where it gives no hold.
 
-    first: minimum of the very same observations, where it is known.
-    found: what was found in it.
+    near: the block by a method.
+    found: what was found in the network of that.
     """
     plain = without_weak_images(block)[0]
     mounted = as_mounted(plain)
     # What images state as positions is another network than the one that was adjusted.
-    if mounted is not plain:
-        first = found = None
+    whole = "integrated" if len(block.positions.image) else "indirect"
+    first = None
+    if near is not None and near.method == whole and mounted is plain:
+        first = near.adjusted
+    if first is None:
+        found = None
     if block.datum == "free":
         return None, None
     table = of_rays(table) if by_navigation_fixes(block) else table
@@ -167,7 +176,8 @@ def causes_of(
         if found is None:
             if first is None:
                 with because("the block to be tested for causes"):
-                    first, at_once = straightened(assemble(mounted).network)
+                    assembly = assemble(mounted)
+                    first, at_once = straightened(assembly.network, start_near(assembly, near))
             found = systematic_errors(first, at_once, table)
     except PhotocalError:
         return None, None

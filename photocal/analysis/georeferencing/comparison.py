@@ -334,10 +334,10 @@ def check_block(
             refused[method] = str(refusal)
         done(method)
     # The minimum of the method is that of the search: it has the same observations.
-    same = "integrated" if len(block.positions.image) else "indirect"
-    first = judged[same].result.adjusted if same in judged else None
-    found = known.causes if known is not None and first is known.adjusted.minimum else None
-    systematic, apart = causes_of(block, first, found=found)
+    same: Method = "integrated" if len(block.positions.image) else "indirect"
+    near = next((judged[method].result for method in (same, "integrated") if method in judged), None)
+    shared = known is not None and near is not None and near.adjusted is known.adjusted.minimum
+    systematic, apart = causes_of(block, near, found=known.causes if known is not None and shared else None)
     to_given = (lambda local: local) if typed.frame == "local" else block_frame(typed).to_given
     slips = typed_slips(typed, block.points.names, block.points.values, to_given)
     mistyped = mistyped_of(systematic, slips)

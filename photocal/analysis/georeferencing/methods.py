@@ -293,7 +293,7 @@ def _adjusted(block: Block, method: Method, note: str, near: Georeferenced | Non
     block, weak = without_weak_images(block)
     assembly = assemble(block)
     with because(f"{method} georeferencing"):
-        adjusted = adjusted_network(assembly.network, state=_start(assembly, near))
+        adjusted = adjusted_network(assembly.network, state=start_near(assembly, near))
     return _of_network(block, method, note, assembly, adjusted, weak)
 
 
@@ -382,7 +382,7 @@ def _of_network(
     )
 
 
-def _start(assembly: NetworkOfBlock, near: Georeferenced | None) -> State | None:
+def start_near(assembly: NetworkOfBlock, near: Georeferenced | None) -> State | None:
     """Start at what another method gave of the same images and points; None where they are not the same."""
     network = assembly.network
     if near is None or near.adjusted is None:
