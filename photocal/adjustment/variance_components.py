@@ -27,6 +27,8 @@ from photocal.base.errors import IllPosedError, NotConvergedError
 
 # A variance is settled when a round changes it by less than this share of itself.
 SETTLED = 1e-3
+# A variance that shrinks below this share of the given one is running to zero.
+VANISHED = 1e-6
 # Rounds shrink at a steady rate up to this one: then the rest of the way is known (Aitken 1926).
 _STEADY = 0.9
 # Division of the rays into groups of one standard deviation each: names, and the group of each ray.
@@ -83,8 +85,6 @@ def estimate_components(
     raises NotConvergedError: when the variances do not settle.
     """
     most_rounds = 60
-    # A variance that shrinks below this share of the given one is running to zero.
-    vanished = 1e-6
     rays = rays or rays_together(network)
     factors: dict[str, float] = {}
     # With less redundancy a group says nothing about its own variance.
@@ -103,7 +103,7 @@ def estimate_components(
             return VarianceComponents(_components(groups, change, factors), fitted, rounds)
         for name, share in change.items():
             factors[name] = factors.get(name, 1.0) * float(np.sqrt(share))
-            if factors[name] ** 2 < vanished:
+            if factors[name] ** 2 < VANISHED:
                 raise IllPosedError(
                     f"the variance of group {name} tends to zero",
                     "hold its standard deviation: its residuals do not determine it",
@@ -145,8 +145,11 @@ def settled_factor(at: Factored, name: str) -> tuple[float, State]:
         residual = rows.residual + np.bincount(row_of, rows.coefficient * step[rows.column], len(rows.weight))
         taken = equation_covariance(rows, structure, selected_inverse(structure, matrix), 1).ravel()
         weight = rows.weight / total**2
-        redundancy = len(weight) - float(weight @ taken)
-        change = 0.5 * math.log(float(weight @ residual**2) / redundancy)
+        redundancy, chi_squared = len(weight) - float(weight @ taken), float(weight @ residual**2)
+        if min(redundancy, chi_squared) <= 0.0 or total**2 < VANISHED:
+            # Residuals that vanish with their sigmas tell no factor.
+            break
+        change = 0.5 * math.log(chi_squared / redundancy)
         rate = change / before if before else 0.0
         total *= math.exp(change / (1.0 - rate) if 0.0 < rate < _STEADY else change)
         if abs(change) < SETTLED:

@@ -162,7 +162,9 @@ def systematic_errors(
             factor, near = settled_factor(given.factored, wrong.name)
             made.append(math.log(factor))
         known = sigmas.get(wrong.name)
-        sigmas[wrong.name] = replace(known or wrong, factor=factor * (1.0 if known is None else known.factor))
+        sigmas[wrong.name] = (
+            _scaled(wrong, factor / wrong.factor) if known is None else _scaled(known, factor)
+        )
         given = _with_sigmas(given.network, wrong.name, factor, near)
         done()
     accepted, search = _placed(search, search.chosen(alone), table, against)
@@ -352,20 +354,19 @@ def _step(factor: float, made: list[float]) -> float:
     return math.exp(step / (1.0 - rate)) if 0.0 < rate < _STEADY else factor
 
 
+def _scaled(test: GroupTest, by: float) -> GroupTest:
+    """The factor of a group with its limits, times another one."""
+    return replace(test, factor=by * test.factor, lower=by * test.lower, upper=by * test.upper)
+
+
 def _settled(sigmas: dict[str, GroupTest], given: AdjustedNetwork) -> tuple[GroupTest, ...]:
-    """The factors of groups over all rounds, with the limits and the redundancy of the last."""
+    """The factors of groups over all rounds, with the limits of the last, where that still tests them."""
     last = {test.name: test for test in group_tests(given.network, given.solution)}
-    return tuple(
-        replace(
-            last[name],
-            factor=one.factor,
-            lower=one.factor * last[name].lower,
-            upper=one.factor * last[name].upper,
-            p_value=one.p_value,
-            gain=one.gain,
-        )
-        for name, one in sigmas.items()
-    )
+    settled = list[GroupTest]()
+    for name, one in sigmas.items():
+        test = replace(last[name], factor=1.0, p_value=one.p_value, gain=one.gain) if name in last else None
+        settled.append(one if test is None else _scaled(test, one.factor))
+    return tuple(settled)
 
 
 def _with_sigmas(network: Network, name: str, factor: float, near: State) -> AdjustedNetwork:

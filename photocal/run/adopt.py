@@ -32,9 +32,11 @@ from photocal.block.model import ROLES, Block
 from photocal.block.mounting import make_mounting
 from photocal.block.network import assemble
 from photocal.block.results.adjusted import (
-    adjust_block,
+    AdjustedBlock,
     adjusted,
+    adjustment_of,
     residuals_of,
+    write_adjusted,
 )
 from photocal.block.results.result import Residuals, Result
 from photocal.block.setup import MountingKeys
@@ -192,7 +194,8 @@ def adopt(
 
     raises PhotocalError: for a project that cannot be read or adjusted.
     """
-    from photocal.analysis.analyse_run import analyse_run
+    from photocal.analysis.analyse_run import analyse_searched, write_analysis
+    from photocal.analysis.searched_block import SearchedBlock
     from photocal.findings.texts import catalogue, finding_json, finding_text, plain
     from photocal.report.certificate_metadata import read_particulars
     from photocal.report.issue import issue
@@ -206,11 +209,12 @@ def adopt(
     with step("gross errors of the rays"):
         foreign = without_weak_parts(without_gross_rays(foreign, output))
     try:
-        foreign, block, result = _adjusted(foreign, output, step)
+        foreign, made = _adjusted(foreign, output, step)
     except (IllPosedError, NotConvergedError) as refusal:
-        foreign, block, result = _adjusted(_held(foreign, refusal), output, step)
+        foreign, made = _adjusted(_held(foreign, refusal), output, step)
+    result = made.result
     with step("analysis"):
-        outcome = analyse_run(run, source, read=lambda _: block)
+        outcome = write_analysis(run, analyse_searched(SearchedBlock(made)), made.block, result)
     with step("sigmas of control and positions"):
         sigmas = sigma_figures(foreign, result, _as_residuals_agree(outcome.search.first))
     control = control_figures(foreign, result)
@@ -274,7 +278,7 @@ def _held(foreign: ForeignProject, refusal: PhotocalError) -> ForeignProject:
     return replace(foreign, block=block, remarks=(*foreign.remarks, remark))
 
 
-def _adjusted(foreign: ForeignProject, output: Path, step: Step) -> tuple[ForeignProject, Block, Result]:
+def _adjusted(foreign: ForeignProject, output: Path, step: Step) -> tuple[ForeignProject, AdjustedBlock]:
     """Weigh and adjust, into `block` and `calibration` of the output."""
     source = output / "block"
     with step("weights of the image coordinates"):
@@ -284,7 +288,9 @@ def _adjusted(foreign: ForeignProject, output: Path, step: Step) -> tuple[Foreig
         MeasuredBlock(block, {"schema": MEASURED, "kind": f"project of {foreign.program}"}).write(source)
     with step("adjustment"):
         block = read_block(source)
-        return foreign, block, adjust_block(source, output / "calibration", read=lambda _: block)
+        made = adjustment_of(block)
+        write_adjusted(made, source, output / "calibration")
+        return foreign, made
 
 
 def _weighted(foreign: ForeignProject) -> ForeignProject:
