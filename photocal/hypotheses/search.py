@@ -161,10 +161,8 @@ def systematic_errors(
         else:
             factor, near = settled_factor(given.factored, wrong.name)
             made.append(math.log(factor))
-        known = sigmas.get(wrong.name)
-        sigmas[wrong.name] = (
-            _scaled(wrong, factor / wrong.factor) if known is None else _scaled(known, factor)
-        )
+        known = sigmas.get(wrong.name) or _scaled(wrong, 1.0 / wrong.factor)
+        sigmas[wrong.name] = _scaled(known, factor)
         given = _with_sigmas(given.network, wrong.name, factor, near)
         done()
     accepted, search = _placed(search, search.chosen(alone), table, against)
