@@ -29,8 +29,6 @@ from photocal.base.errors import IllPosedError, NotConvergedError
 SETTLED = 1e-3
 # A variance that shrinks below this share of the given one is running to zero.
 VANISHED = 1e-6
-# Rounds shrink at a steady rate up to this one: then the rest of the way is known (Aitken 1926).
-_STEADY = 0.9
 # Division of the rays into groups of one standard deviation each: names, and the group of each ray.
 RayGroups = tuple[tuple[str, ...], Integers]
 
@@ -117,6 +115,13 @@ def estimate_components(
     )
 
 
+def rest_of_way(step: float, before: float) -> float:
+    """The rest of a way whose steps shrink at a steady rate (Aitken 1926); else the step alone."""
+    slowest = 0.9
+    rate = step / before if before else 0.0
+    return step / (1.0 - rate) if 0.0 < rate < slowest else step
+
+
 def settled_factor(at: Factored, name: str) -> tuple[float, State]:
     """By what the standard deviations of a group beside rays and points must be multiplied to agree.
 
@@ -150,8 +155,7 @@ def settled_factor(at: Factored, name: str) -> tuple[float, State]:
             # Residuals that vanish with their sigmas tell no factor.
             break
         change = 0.5 * math.log(chi_squared / redundancy)
-        rate = change / before if before else 0.0
-        total *= math.exp(change / (1.0 - rate) if 0.0 < rate < _STEADY else change)
+        total *= math.exp(rest_of_way(change, before))
         if abs(change) < SETTLED:
             break
         before = change

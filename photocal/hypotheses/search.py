@@ -21,7 +21,7 @@ from photocal.adjustment.network import Network
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import BENT
 from photocal.adjustment.state import State
-from photocal.adjustment.variance_components import settled_factor
+from photocal.adjustment.variance_components import rest_of_way, settled_factor
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.base.policy import policy
@@ -52,7 +52,7 @@ from photocal.hypotheses.table import Fault
 # Adjustments that confirm what was chosen.
 _CONFIRMED = 2
 # Rounds in which a factor of stated sigmas settles, and the share by which it may still change.
-_SETTLING, _SETTLED, _STEADY = 4, 0.05, 0.9
+_SETTLING, _SETTLED = 4, 0.05
 # Groups of which people state what they hope.
 _STATED = ("position", "attitude", *CONTROL)
 
@@ -345,11 +345,9 @@ def _wrong_sigma(
 
 
 def _step(factor: float, made: list[float]) -> float:
-    """Factor to apply next: steps shrink at a steady rate, so that the rest of the way is known (Aitken)."""
-    step = math.log(factor)
-    rate = step / made[-1] if made and made[-1] else 0.0
-    made.append(step)
-    return math.exp(step / (1.0 - rate)) if 0.0 < rate < _STEADY else factor
+    """Factor to apply next, after the steps that were made."""
+    made.append(math.log(factor))
+    return math.exp(rest_of_way(made[-1], made[-2] if len(made) > 1 else 0.0))
 
 
 def _scaled(test: GroupTest, by: float) -> GroupTest:
