@@ -12,7 +12,6 @@ import numpy as np
 from photocal.adjustment.envelope import selected_inverse
 from photocal.adjustment.factored import Factored, covariance_column, factored
 from photocal.adjustment.kernels.data import Cofactors
-from photocal.adjustment.kernels.statistics import statistics
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import values_of
 from photocal.adjustment.score import followed_by
@@ -143,11 +142,8 @@ def _on_own_points(at: Factored) -> Floats:
     design, values = problem.design, values_of(problem, state)
     inverse = selected_inverse(problem.layout.envelope, normal.matrix)
     cofactors = Cofactors(problem.layout.envelope, inverse, normal.kept)
-    covariance = np.zeros((len(state.points), 3, 3))
-    spare = np.empty((2, *design.weight.shape))
-    statistics(design, values, cofactors, covariance, spare[0], spare[1])
     effect = np.zeros((*design.weight.shape, 3))
-    point_effects(design, values, cofactors, covariance, effect)
+    point_effects(design, values, cofactors, effect)
     datum = at.datum
     if datum is None:
         return effect

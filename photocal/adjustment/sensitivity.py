@@ -4,9 +4,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from photocal.adjustment.kernels.data import Cofactors, Design, PointRoom, Structure, Values, columns, width
+from photocal.adjustment.kernels.data import Cofactors, Design, Structure, Values, columns, width
+from photocal.adjustment.kernels.lanes import filled
 from photocal.adjustment.kernels.ray import ray_rows
-from photocal.adjustment.kernels.statistics import eliminated_spread, gather, room_of
+from photocal.adjustment.kernels.statistics import (
+    Neighbours,
+    Spread,
+    gather,
+    let_in,
+    put_rows,
+    put_spread,
+    room_of,
+)
 from photocal.base.arrays import Floats
 from photocal.base.compiled import compiled, each_piece, inlined
 from photocal.geometry.lens import Scratch, scratch
@@ -183,62 +192,48 @@ def pulls(
 
 
 @compiled
-def ray_effect(
-    design: Design, r: int, at: int, first: int, block: Floats, spread: Floats, room: Scratch, effect: Floats
-) -> None:
-    """Effect of ray r, whose derivatives are in the scratch room, on its point."""
-    i = design.ray_image[r]
-    k = design.image_lens[i]
-    for a in range(2):
-        for d in range(3):
-            total = 0.0
-            for b in range(3):
-                total += block[d, b] * room.by_point[a, b]
-            for b in range(columns(design)):
-                total -= spread[d, first + b] * room.by_image[a, b]
-            for s in range(design.active_count[k]):
-                total -= spread[d, at + s] * room.by_camera[a, design.active[k, s]]
-            effect[r, a, d] = total * design.weight[r, a]
-
-
-@compiled
 def point_effects_piece(
     design: Design,
     values: Values,
     cofactors: Cofactors,
     piece: int,
-    covariance: Floats,
     effect: Floats,
-    space: PointRoom,
+    near: Neighbours,
+    room: Spread,
 ) -> None:
     """Effects of one piece's rays, see `point_effects`."""
-    room, block, spread = space.ray, space.block, space.spread
-    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
-        j = design.order[nth]
-        begin, end = design.ray_start[j], design.ray_start[j + 1]
-        m = gather(design, cofactors, j, space.local)
-        eliminated_spread(design, cofactors, j, m, space)
-        for a in range(3):
-            for b in range(3):
-                block[a, b] = covariance[j, a, b]
-            if design.point_free[j, a] == 0.0:
-                for c in range(m):
-                    spread[a, c] = 0.0
-        for r in range(begin, end):
-            i = design.ray_image[r]
-            ray_rows(design, values, r, i, j, room)
-            at = columns(design) * (end - begin) + design.active_column[design.image_lens[i]]
-            ray_effect(design, r, at, columns(design) * (r - begin), block, spread, room, effect)
+    rows, block, spread, point = room.rows, room.block, room.spread, room.point
+    tall = filled(columns(design))
+    begin, end = design.pieces[piece], design.pieces[piece + 1]
+    while begin < end:
+        stop = let_in(design, begin, end, near)
+        gather(design, cofactors, near)
+        for nth in range(begin, stop):
+            j = design.order[nth]
+            put_rows(design, values, cofactors, j, near, room)
+            put_spread(design, cofactors, j, near, room)
+            first, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
+            for r in range(n):
+                for x in range(2):
+                    for d in range(3):
+                        total = 0.0
+                        for b in range(3):
+                            total += block[d, b] * point[r, x, b]
+                        for b in range(tall):
+                            total -= spread[d, tall * r + b] * rows[r, x, b]
+                        for c in range(cofactors.structure.lens):
+                            total -= spread[d, tall * n + c] * rows[r, x, tall + c]
+                        free = design.point_free[j, d]
+                        effect[first + r, x, d] = free * total * design.weight[first + r, x]
+        begin = stop
 
 
-def point_effects(
-    design: Design, values: Values, cofactors: Cofactors, covariance: Floats, effect: Floats
-) -> None:
+def point_effects(design: Design, values: Values, cofactors: Cofactors, effect: Floats) -> None:
     """Change of the point that a ray belongs to per unit of change of the ray's coordinates."""
 
     def work(piece: int) -> None:
         """The rays of one piece; pieces run side by side."""
         room = room_of(design, cofactors)
-        point_effects_piece(design, values, cofactors, piece, covariance, effect, room)
+        point_effects_piece(design, values, cofactors, piece, effect, *room)
 
     each_piece(len(design.pieces) - 1, work)

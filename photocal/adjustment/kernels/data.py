@@ -163,24 +163,19 @@ class PointRoom(NamedTuple):
     """Room for the work on one point and the m unknowns that its rays touch; made once for many points.
 
     ray: derivatives of one of its rays.
-    block (3, 3): normal equations or covariance of the point.
+    block (3, 3): normal equations of the point.
     mixed, spread (3, m): what relates it to the others.
-    local (m, m): covariance of the others.
-    row (m,): one ray's row of the design matrix.
     """
 
     ray: Scratch
     block: Floats
     mixed: Floats
     spread: Floats
-    local: Floats
-    row: Floats
 
 
 def point_room(wide: int, size: int) -> PointRoom:
     """Make room for points that touch so many unknowns, with so many columns of each image."""
-    mixed, spread, local, row = (np.zeros(shape) for shape in ((3, size), (3, size), (size, size), size))
-    return PointRoom(scratch(wide), np.zeros((3, 3)), mixed, spread, local, row)
+    return PointRoom(scratch(wide), np.zeros((3, 3)), np.zeros((3, size)), np.zeros((3, size)))
 
 
 def width(design: Design) -> int:

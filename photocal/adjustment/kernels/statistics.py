@@ -1,103 +1,289 @@
 """Covariance of the points and redundancy numbers of the rays."""
 
-from photocal.adjustment.kernels.data import (
-    Cofactors,
-    Design,
-    PointRoom,
-    Values,
-    columns,
-    point_room,
-    width,
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from photocal.adjustment.kernels.data import Cofactors, Design, Values, columns, width
+from photocal.adjustment.kernels.elimination import AHEAD, most_rays
+from photocal.adjustment.kernels.lanes import (
+    LANES,
+    filled,
+    load,
+    none,
+    padded,
+    plus,
+    plus_each,
+    store,
+    summed,
 )
-from photocal.adjustment.kernels.elimination import most_rays
-from photocal.adjustment.kernels.ray import corner_of, ray_rows
-from photocal.base.arrays import Floats
-from photocal.base.compiled import compiled, each_piece, inlined
+from photocal.adjustment.kernels.ray import corner_of, element_address, ray_rows
+from photocal.base.arrays import Floats, Integers
+from photocal.base.compiled import apart, each_piece, fetch, inlined
+from photocal.geometry.lens import Scratch, scratch
+
+# So many images of points that follow each other: their covariance stays near the processor.
+NEIGHBOURS = 24
+
+
+class Neighbours(NamedTuple):
+    """Covariance among the images that some points see, and the cameras: all of it, in whole lanes.
+
+    place (images,): place of each image among the neighbours; -1 for all others.
+    image (neighbours,): which they are; -1 where there is none.
+    local (neighbours * columns of an image + lens, the same in whole lanes for each): rows and columns of the
+        images, then those of the cameras.
+    """
+
+    place: Integers
+    image: Integers
+    local: Floats
+
+
+class Spread(NamedTuple):
+    """What one point's rays see of the unknowns, in whole lanes for each image, then for the cameras.
+
+    ray: derivatives of one ray.
+    place (rays,): of each ray's image among the neighbours.
+    residual (rays, 2).
+    rows (rays, 2, n): rows of the design matrix: the ray's own image, then the cameras.
+    point (rays, 2, 3): the same of the point.
+    mixed, spread (3, m): V^-1 W' and V^-1 W' Q_uu, with V and W' the normal equations of the point, and
+        between it and the others; Q_pu = -spread.
+    block (3, 3): covariance of the point, Q_pp = V^-1 + spread W V^-1.
+    """
+
+    ray: Scratch
+    place: Integers
+    residual: Floats
+    rows: Floats
+    point: Floats
+    mixed: Floats
+    spread: Floats
+    block: Floats
+
+
+def room_of(design: Design, cofactors: Cofactors) -> tuple[Neighbours, Spread]:
+    """Make room for neighbours and for any point and all that its rays touch."""
+    images, rays, wide, lens = (
+        len(design.image_column),
+        most_rays(design),
+        width(design),
+        cofactors.structure.lens,
+    )
+    most, tall, border = max(min(NEIGHBOURS, images), rays), padded(wide), padded(lens)
+    near = Neighbours(
+        np.full(images, -1), np.full(most, -1), np.zeros((most * wide + lens, most * tall + border))
+    )
+    shapes = (rays, 2), (rays, 2, tall + border), (rays, 2, 3), *[(3, rays * tall + border)] * 2, (3, 3)
+    return near, Spread(scratch(wide), np.zeros(rays, dtype=np.int64), *map(np.zeros, shapes))
 
 
 @inlined
-def gather(design: Design, cofactors: Cofactors, j: int, local: Floats) -> int:
-    """Copy the covariance among all that a point's rays touch; returns its size."""
-    structure, inverse = cofactors.structure, cofactors.inverse
-    border = structure.border
-    # Only a point that stays among the unknowns has columns behind those of the cameras.
-    reach = border if design.point_column[j] >= 0 else structure.lens
-    begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
-    edge = columns(design) * n
-    for r in range(n):
-        column = design.image_column[design.ray_image[begin + r]]
+def let_in(design: Design, nth: int, end: int, near: Neighbours) -> int:
+    """Make the images of points from the nth on neighbours; returns the first point that finds no room."""
+    place, image, _ = near
+    for s in range(len(image)):
+        if image[s] >= 0:
+            place[image[s]] = image[s] = -1
+    count = 0
+    while nth < end:
+        j, new = design.order[nth], 0
+        for r in range(design.ray_start[j], design.ray_start[j + 1]):
+            if place[design.ray_image[r]] < 0:
+                new += 1
+        if count + new > len(image):
+            break
+        for r in range(design.ray_start[j], design.ray_start[j + 1]):
+            i = design.ray_image[r]
+            if place[i] < 0:
+                place[i], image[count] = count, i
+                count += 1
+        nth += 1
+    return nth
+
+
+@inlined
+def gather(design: Design, cofactors: Cofactors, near: Neighbours) -> None:
+    """Copy the covariance among the neighbours and the cameras."""
+    (structure, inverse, _), (_, image, local) = cofactors, near
+    wide, tall, most, lens = columns(design), filled(columns(design)), len(image), structure.lens
+    for s in range(most):
+        if image[s] < 0:
+            break
+        column = design.image_column[image[s]]
         corner, foot, step = corner_of(structure, column)
-        for t in range(n):
-            other = design.image_column[design.ray_image[begin + t]]
-            if other < column:
+        last = structure.last[column // structure.panel]
+        for t in range(most):
+            other = design.image_column[image[t]] if image[t] >= 0 else last
+            # Neighbours that no point sees together may have no element.
+            if other < column or other >= last:
                 continue
             start = corner + (other - column) * step
-            for a in range(columns(design)):
-                for b in range(columns(design)):
+            for a in range(wide):
+                for b in range(wide):
                     z = inverse[start + a * step + b]
-                    local[columns(design) * t + a, columns(design) * r + b] = z
-                    local[columns(design) * r + b, columns(design) * t + a] = z
-        for s in range(reach):
-            for b in range(columns(design)):
-                z = inverse[foot + s * step + b]
-                local[edge + s, columns(design) * r + b] = z
-                local[columns(design) * r + b, edge + s] = z
+                    local[wide * t + a, tall * s + b] = z
+                    local[wide * s + b, tall * t + a] = z
+        for c in range(lens):
+            for b in range(wide):
+                z = inverse[foot + c * step + b]
+                local[wide * most + c, tall * s + b] = z
+                local[wide * s + b, tall * most + c] = z
     base = structure.offset[len(structure.width) - 1]
-    for s in range(reach):
+    for s in range(lens):
         for t in range(s + 1):
-            local[edge + s, edge + t] = inverse[base + s * border + t]
-            local[edge + t, edge + s] = inverse[base + s * border + t]
-    return int(edge + reach)
+            z = inverse[base + s * structure.border + t]
+            local[wide * most + s, tall * most + t] = z
+            local[wide * most + t, tall * most + s] = z
 
 
 @inlined
-def eliminated_spread(design: Design, cofactors: Cofactors, j: int, m: int, room: PointRoom) -> None:
-    """Relate a point to the m unknowns of its rays, whose covariance Q_uu is `local` of the room.
+def fetch_rays(design: Design, values: Values, cofactors: Cofactors, j: int) -> None:
+    """Ask the memory for what a point's work takes."""
+    begin, end = design.ray_start[j], design.ray_start[j + 1]
+    fetch(values.points, 3 * j)
+    fetch(design.point_free, 3 * j)
+    fetch(cofactors.kept.inverse, 9 * j)
+    fetch(cofactors.kept.inverse, 9 * j + 8)
+    for r in range(begin, end, 4):
+        fetch(design.plane, 2 * r)
+        fetch(design.weight, 2 * r)
+        fetch(design.ray_image, r)
 
-    Its `mixed` and `spread` receive V^-1 W' and V^-1 W' Q_uu: Q_pu = -spread, Q_pp = V^-1 + spread W V^-1.
-    A point that stays among the unknowns has its covariance in `local`.
-    """
-    kept, lens, mixed, spread, local = (
-        cofactors.kept,
-        cofactors.structure.lens,
-        room.mixed,
-        room.spread,
-        room.local,
-    )
+
+@inlined
+def put_rows(
+    design: Design, values: Values, cofactors: Cofactors, j: int, near: Neighbours, room: Spread
+) -> None:
+    """Put the rows of a point's rays into the room, and V^-1 W' of them."""
+    ray, rows, mixed, inverse = room.ray, room.rows, room.mixed, cofactors.kept.inverse
+    wide, tall, lens = columns(design), filled(columns(design)), cofactors.structure.lens
     begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
-    edge, stays = columns(design) * n, design.point_column[j]
-    for a in range(3):
-        q0, q1, q2 = kept.inverse[j, a, 0], kept.inverse[j, a, 1], kept.inverse[j, a, 2]
-        for r in range(n):
-            for b in range(columns(design)):
-                mixed[a, columns(design) * r + b] = (
-                    q0 * kept.mixed[begin + r, 0, b]
-                    + q1 * kept.mixed[begin + r, 1, b]
-                    + q2 * kept.mixed[begin + r, 2, b]
-                )
-        for s in range(edge, m):
-            mixed[a, s] = 0.0
-        for s in range(lens):
-            mixed[a, edge + s] = (
-                q0 * kept.mixed_border[j, 0, s]
-                + q1 * kept.mixed_border[j, 1, s]
-                + q2 * kept.mixed_border[j, 2, s]
-            )
-        for b in range(m):
-            spread[a, b] = 0.0
-    for c in range(m):
-        m0, m1, m2 = mixed[0, c], mixed[1, c], mixed[2, c]
-        for b in range(m):
-            spread[0, b] += m0 * local[c, b]
-            spread[1, b] += m1 * local[c, b]
-            spread[2, b] += m2 * local[c, b]
-    if stays >= 0:
+    span, size, edge = rows.shape[2], mixed.shape[1], tall * n
+    for q in range(0, lens, LANES):
         for a in range(3):
-            for b in range(m):
-                spread[a, b] = -local[edge + stays + a, b]
+            store(mixed, size * a + edge + q, none())
+    for r in range(n):
+        i = design.ray_image[begin + r]
+        k = design.image_lens[i]
+        at, count = design.active_column[k], design.active_count[k]
+        room.place[r] = near.place[i]
+        room.residual[r, 0], room.residual[r, 1] = ray_rows(design, values, begin + r, i, j, ray)
+        for x in range(2):
+            for q in range(tall, tall + lens, LANES):
+                store(rows, span * (2 * r + x) + q, none())
+            for b in range(wide):
+                rows[r, x, b] = ray.by_image[x, b]
+            for c in range(count):
+                rows[r, x, tall + at + c] = ray.by_camera[x, design.active[k, c]]
+            for a in range(3):
+                room.point[r, x, a] = ray.by_point[x, a]
+        top = 2 * span * r
+        for a in range(3):
+            i0, i1, i2 = inverse[j, a, 0], inverse[j, a, 1], inverse[j, a, 2]
+            b0, b1, b2 = ray.by_point[0, 0], ray.by_point[0, 1], ray.by_point[0, 2]
+            x = design.weight[begin + r, 0] * (i0 * b0 + i1 * b1 + i2 * b2)
+            b0, b1, b2 = ray.by_point[1, 0], ray.by_point[1, 1], ray.by_point[1, 2]
+            y = design.weight[begin + r, 1] * (i0 * b0 + i1 * b1 + i2 * b2)
+            for q in range(0, tall, LANES):
+                part = plus(plus(none(), x, load(rows, top + q)), y, load(rows, top + span + q))
+                store(mixed, size * a + tall * r + q, part)
+            for q in range(at // LANES * LANES, at + count, LANES):
+                part = load(mixed, size * a + edge + q)
+                part = plus(part, x, load(rows, top + tall + q))
+                store(mixed, size * a + edge + q, plus(part, y, load(rows, top + span + tall + q)))
 
 
-@compiled
+@inlined
+def put_spread(design: Design, cofactors: Cofactors, j: int, near: Neighbours, room: Spread) -> None:
+    """Put the covariance of a point, whose rows are in the room, and of it with the others into the room."""
+    (structure, inverse, kept), local, place = cofactors, near.local, room.place
+    mixed, spread, block = room.mixed, room.spread, room.block
+    wide, tall, lens, most = columns(design), filled(columns(design)), structure.lens, len(near.image)
+    begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
+    step, size, edge = local.shape[1], mixed.shape[1], tall * n
+    for q in range(0, edge + lens, LANES):
+        column = tall * place[q // tall] + q % tall if q < edge else tall * most + q - edge
+        x, y, z = none(), none(), none()
+        for r in range(n):
+            at = step * wide * place[r] + column
+            for b in range(wide):
+                row = load(local, at + step * b)
+                x = plus(x, mixed[0, tall * r + b], row)
+                y = plus(y, mixed[1, tall * r + b], row)
+                z = plus(z, mixed[2, tall * r + b], row)
+        at = step * wide * most + column
+        for c in range(lens):
+            row = load(local, at + step * c)
+            x = plus(x, mixed[0, edge + c], row)
+            y = plus(y, mixed[1, edge + c], row)
+            z = plus(z, mixed[2, edge + c], row)
+        store(spread, q, x)
+        store(spread, size + q, y)
+        store(spread, 2 * size + q, z)
+    for a in range(3):
+        for b in range(a + 1):
+            total = none()
+            for q in range(0, edge + lens, LANES):
+                total = plus_each(total, load(spread, size * a + q), load(mixed, size * b + q))
+            block[a, b] = block[b, a] = kept.inverse[j, a, b] + summed(total)
+    # A point that stays among the unknowns has its covariance in the inverse.
+    own = structure.band + design.point_column[j]
+    for a in range(3 if own >= structure.band else 0):
+        for r in range(n):
+            first = design.image_column[design.ray_image[begin + r]]
+            for b in range(wide):
+                spread[a, tall * r + b] = -inverse[element_address(structure, own + a, first + b)]
+        for c in range(lens):
+            spread[a, edge + c] = -inverse[element_address(structure, own + a, structure.band + c)]
+        for b in range(a + 1):
+            block[a, b] = block[b, a] = inverse[element_address(structure, own + a, own + b)]
+    for a in range(3):
+        if design.point_free[j, a] == 0.0:
+            for b in range(3):
+                block[a, b] = block[b, a] = 0.0
+
+
+@inlined
+def follows(room: Spread, r: int, x: int, q: int) -> Any:
+    """Covariance of unknowns with the point's part of a coordinate of ray r, its sign changed."""
+    spread, point = room.spread, room.point
+    total = plus(none(), point[r, x, 0], load(spread, q))
+    total = plus(total, point[r, x, 1], load(spread, spread.shape[1] + q))
+    return plus(total, point[r, x, 2], load(spread, 2 * spread.shape[1] + q))
+
+
+@inlined
+def variance(design: Design, r: int, n: int, x: int, near: Neighbours, room: Spread) -> float:
+    """Variance a Q a' of a coordinate, adjusted, of the ray r of the n of a point."""
+    rows, point, block, local = room.rows, room.point, room.block, near.local
+    wide, tall, most, s = columns(design), filled(columns(design)), len(near.image), room.place[r]
+    k = design.image_lens[near.image[s]]
+    at, count = design.active_column[k], design.active_count[k]
+    step, top = local.shape[1], rows.shape[2] * (2 * r + x)
+    image, cameras, total = step * wide * s, step * (wide * most + at), none()
+    for q in range(0, tall, LANES):
+        shared = plus(none(), -1.0, follows(room, r, x, tall * r + q))
+        for c in range(count):
+            shared = plus(shared, rows[r, x, tall + at + c], load(local, cameras + step * c + tall * s + q))
+        part = plus(none(), 2.0, shared)
+        for b in range(wide):
+            part = plus(part, rows[r, x, b], load(local, image + step * b + tall * s + q))
+        total = plus_each(total, part, load(rows, top + q))
+    for q in range(at // LANES * LANES, at + count, LANES):
+        part = plus(none(), -2.0, follows(room, r, x, tall * n + q))
+        for c in range(count):
+            part = plus(part, rows[r, x, tall + at + c], load(local, cameras + step * c + tall * most + q))
+        total = plus_each(total, part, load(rows, top + tall + q))
+    result = summed(total)
+    for a in range(3):
+        for b in range(3):
+            result += point[r, x, a] * block[a, b] * point[r, x, b]
+    return float(result)
+
+
+@apart
 def statistics_piece(
     design: Design,
     values: Values,
@@ -106,62 +292,29 @@ def statistics_piece(
     point_covariance: Floats,
     residuals: Floats,
     redundancy: Floats,
-    space: PointRoom,
+    near: Neighbours,
+    room: Spread,
 ) -> None:
     """Statistics of one piece's points, see `statistics`."""
-    room, cov, mixed, spread, local, row = space
-    kept = cofactors.kept
-    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
-        j = design.order[nth]
-        begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
-        edge = columns(design) * n
-        m = gather(design, cofactors, j, local)
-        eliminated_spread(design, cofactors, j, m, space)
-        stays = design.point_column[j]
-        for a in range(3):
-            for b in range(3):
-                q = kept.inverse[j, a, b]
-                for c in range(m):
-                    q += spread[a, c] * mixed[b, c]
-                if stays >= 0:
-                    q = local[edge + stays + a, edge + stays + b]
-                held = design.point_free[j, a] == 0.0 or design.point_free[j, b] == 0.0
-                cov[a, b] = 0.0 if held else q
-                point_covariance[j, a, b] = cov[a, b]
-        for r in range(begin, begin + n):
-            i = design.ray_image[r]
-            k = design.image_lens[i]
-            residuals[r, 0], residuals[r, 1] = ray_rows(design, values, r, i, j, room)
-            at, first = edge + design.active_column[k], columns(design) * (r - begin)
-            count = design.active_count[k]
-            for a in range(2):
-                b0, b1, b2 = room.by_point[a, 0], room.by_point[a, 1], room.by_point[a, 2]
-                variance = 0.0
+    begin, end = design.pieces[piece], design.pieces[piece + 1]
+    while begin < end:
+        stop = let_in(design, begin, end, near)
+        gather(design, cofactors, near)
+        for nth in range(begin, stop):
+            j = design.order[nth]
+            fetch_rays(design, values, cofactors, design.order[min(nth + AHEAD, end - 1)])
+            put_rows(design, values, cofactors, j, near, room)
+            put_spread(design, cofactors, j, near, room)
+            for a in range(3):
                 for b in range(3):
-                    variance += room.by_point[a, b] * (cov[b, 0] * b0 + cov[b, 1] * b1 + cov[b, 2] * b2)
-                for s in range(count):
-                    row[s] = room.by_camera[a, design.active[k, s]]
-                for b in range(columns(design)):
-                    part = -2.0 * (
-                        spread[0, first + b] * b0 + spread[1, first + b] * b1 + spread[2, first + b] * b2
-                    )
-                    for c in range(columns(design)):
-                        part += local[first + b, first + c] * room.by_image[a, c]
-                    for s in range(count):
-                        part += 2.0 * local[first + b, at + s] * row[s]
-                    variance += room.by_image[a, b] * part
-                for b in range(count):
-                    part = -2.0 * (spread[0, at + b] * b0 + spread[1, at + b] * b1 + spread[2, at + b] * b2)
-                    for s in range(count):
-                        part += local[at + b, at + s] * row[s]
-                    variance += row[b] * part
-                redundancy[r, a] = 1.0 - design.weight[r, a] * variance
-
-
-def room_of(design: Design, cofactors: Cofactors) -> PointRoom:
-    """Make room for any point and all that its rays touch."""
-    size = width(design) * most_rays(design) + cofactors.structure.border
-    return point_room(width(design), size)
+                    point_covariance[j, a, b] = room.block[a, b]
+            first, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
+            for r in range(n):
+                for x in range(2):
+                    residuals[first + r, x] = room.residual[r, x]
+                    through = design.weight[first + r, x] * variance(design, r, n, x, near, room)
+                    redundancy[first + r, x] = 1.0 - through
+        begin = stop
 
 
 def statistics(
@@ -182,6 +335,6 @@ def statistics(
     def work(piece: int) -> None:
         """Residuals and redundancy of one piece; pieces run side by side."""
         room = room_of(design, cofactors)
-        statistics_piece(design, values, cofactors, piece, point_covariance, residuals, redundancy, room)
+        statistics_piece(design, values, cofactors, piece, point_covariance, residuals, redundancy, *room)
 
     each_piece(len(design.pieces) - 1, work)
