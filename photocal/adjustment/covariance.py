@@ -32,9 +32,8 @@ def complete(at: Factored, iterations: tuple[Iteration, ...]) -> Solution:
     values = values_of(problem, state)
     cofactors = Cofactors(structure, inverse, normal.kept)
     statistics(problem.design, values, cofactors, point_covariance, residuals, redundancy)
-    rays = Group(
-        "image", residuals.size, float(np.sum(problem.design.weight * residuals**2)), float(redundancy.sum())
-    )
+    of_rays = float(np.einsum("ra,ra,ra->", problem.design.weight, residuals, residuals))
+    rays = Group("image", residuals.size, of_rays, float(redundancy.sum()))
     groups = [rays, _control_group(problem, state.points, point_covariance)]
     laser_residuals, laser_redundancy = np.zeros((2, len(network.lasers.image)))
     for name, equations in at.others.items():
@@ -125,11 +124,14 @@ def _unknowns(problem: Problem) -> int:
 
 def _control_group(problem: Problem, points: Floats, covariance: Floats) -> Group:
     """Coordinates of points as observations."""
-    weight = problem.network.points.weight
-    deviation = points - problem.network.points.values
-    count = int(np.sum(problem.network.points.observed))
+    given = problem.network.points
+    known = given.known
+    weight, deviation = given.weight[known], points[known] - given.values[known]
+    count = int(np.sum(given.observed))
     chi_squared = float(np.einsum("na,nab,nb->", deviation, weight, deviation))
-    return Group("control", count, chi_squared, count - float(np.einsum("nab,nba->", weight, covariance)))
+    return Group(
+        "control", count, chi_squared, count - float(np.einsum("nab,nba->", weight, covariance[known]))
+    )
 
 
 def equation_covariance(equations: Equations, structure: Structure, inverse: Floats, together: int) -> Floats:

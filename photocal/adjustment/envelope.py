@@ -17,8 +17,11 @@ from threadpoolctl import ThreadpoolController
 
 from photocal.adjustment.kernels.data import Structure
 from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.compiled import each_piece
 
 PANEL = 144
+# Rows of a product that are worth a thread.
+ROWS = 256
 Asked = ParamSpec("Asked")
 Made = TypeVar("Made")
 
@@ -213,9 +216,23 @@ def _invert(structure: Structure, factors: list[Floats], results: list[Floats]) 
             continue
         scaled = factors[j][width:] @ root
         below = _gathered(structure, results, j)
-        product = below @ scaled
+        product = _times(below, scaled)
         results[j][width:] = -product
         results[j][:width] += scaled.T @ product
+
+
+def _times(square: Floats, right: Floats) -> Floats:
+    """Product with a large matrix, by threads of ours that share its rows."""
+    product = np.empty_like(right)
+    shares = np.linspace(0, len(square), 1 + math.ceil(len(square) / ROWS)).astype(np.int64)
+
+    def work(share: int) -> None:
+        """Multiply one share of the rows."""
+        rows = slice(shares[share], shares[share + 1])
+        np.matmul(square[rows], right, out=product[rows])
+
+    each_piece(len(shares) - 1, work)
+    return product
 
 
 def _gathered(structure: Structure, results: list[Floats], j: int) -> Floats:

@@ -23,7 +23,7 @@ from photocal.base.compiled import apart, each_piece, fetch, inlined
 from photocal.geometry.lens import Scratch, scratch
 
 # So many images of points that follow each other: their covariance stays near the processor.
-NEIGHBOURS = 24
+NEIGHBOURS = 40
 
 
 class Neighbours(NamedTuple):
@@ -88,13 +88,10 @@ def let_in(design: Design, nth: int, end: int, near: Neighbours) -> int:
             place[image[s]] = image[s] = -1
     count = 0
     while nth < end:
-        j, new = design.order[nth], 0
-        for r in range(design.ray_start[j], design.ray_start[j + 1]):
-            if place[design.ray_image[r]] < 0:
-                new += 1
-        if count + new > len(image):
+        first, last = design.ray_start[design.order[nth]], design.ray_start[design.order[nth] + 1]
+        if count + last - first > len(image):
             break
-        for r in range(design.ray_start[j], design.ray_start[j + 1]):
+        for r in range(first, last):
             i = design.ray_image[r]
             if place[i] < 0:
                 place[i], image[count] = count, i
@@ -246,41 +243,52 @@ def put_spread(design: Design, cofactors: Cofactors, j: int, near: Neighbours, r
 
 
 @inlined
-def follows(room: Spread, r: int, x: int, q: int) -> Any:
-    """Covariance of unknowns with the point's part of a coordinate of ray r, its sign changed."""
+def with_point(room: Spread, r: int, x: int, q: int) -> Any:
+    """Covariance of unknowns with the point's part of a coordinate of ray r."""
     spread, point = room.spread, room.point
-    total = plus(none(), point[r, x, 0], load(spread, q))
-    total = plus(total, point[r, x, 1], load(spread, spread.shape[1] + q))
-    return plus(total, point[r, x, 2], load(spread, 2 * spread.shape[1] + q))
+    total = plus(none(), -point[r, x, 0], load(spread, q))
+    total = plus(total, -point[r, x, 1], load(spread, spread.shape[1] + q))
+    return plus(total, -point[r, x, 2], load(spread, 2 * spread.shape[1] + q))
 
 
 @inlined
-def variance(design: Design, r: int, n: int, x: int, near: Neighbours, room: Spread) -> float:
-    """Variance a Q a' of a coordinate, adjusted, of the ray r of the n of a point."""
+def variances(design: Design, r: int, n: int, near: Neighbours, room: Spread) -> tuple[float, float]:
+    """Variances a Q a' of both adjusted coordinates of the ray r of the n of a point."""
     rows, point, block, local = room.rows, room.point, room.block, near.local
     wide, tall, most, s = columns(design), filled(columns(design)), len(near.image), room.place[r]
     k = design.image_lens[near.image[s]]
     at, count = design.active_column[k], design.active_count[k]
-    step, top = local.shape[1], rows.shape[2] * (2 * r + x)
-    image, cameras, total = step * wide * s, step * (wide * most + at), none()
+    step, top, next_top = local.shape[1], rows.shape[2] * 2 * r, rows.shape[2] * (2 * r + 1)
+    image, cameras = step * wide * s, step * (wide * most + at)
+    x, y = none(), none()
     for q in range(0, tall, LANES):
-        shared = plus(none(), -1.0, follows(room, r, x, tall * r + q))
+        part_x, part_y = with_point(room, r, 0, tall * r + q), with_point(room, r, 1, tall * r + q)
         for c in range(count):
-            shared = plus(shared, rows[r, x, tall + at + c], load(local, cameras + step * c + tall * s + q))
-        part = plus(none(), 2.0, shared)
+            row = load(local, cameras + step * c + tall * s + q)
+            part_x = plus(part_x, rows[r, 0, tall + at + c], row)
+            part_y = plus(part_y, rows[r, 1, tall + at + c], row)
+        part_x, part_y = plus(none(), 2.0, part_x), plus(none(), 2.0, part_y)
         for b in range(wide):
-            part = plus(part, rows[r, x, b], load(local, image + step * b + tall * s + q))
-        total = plus_each(total, part, load(rows, top + q))
+            row = load(local, image + step * b + tall * s + q)
+            part_x = plus(part_x, rows[r, 0, b], row)
+            part_y = plus(part_y, rows[r, 1, b], row)
+        x = plus_each(x, part_x, load(rows, top + q))
+        y = plus_each(y, part_y, load(rows, next_top + q))
     for q in range(at // LANES * LANES, at + count, LANES):
-        part = plus(none(), -2.0, follows(room, r, x, tall * n + q))
+        part_x = plus(none(), 2.0, with_point(room, r, 0, tall * n + q))
+        part_y = plus(none(), 2.0, with_point(room, r, 1, tall * n + q))
         for c in range(count):
-            part = plus(part, rows[r, x, tall + at + c], load(local, cameras + step * c + tall * most + q))
-        total = plus_each(total, part, load(rows, top + tall + q))
-    result = summed(total)
+            row = load(local, cameras + step * c + tall * most + q)
+            part_x = plus(part_x, rows[r, 0, tall + at + c], row)
+            part_y = plus(part_y, rows[r, 1, tall + at + c], row)
+        x = plus_each(x, part_x, load(rows, top + tall + q))
+        y = plus_each(y, part_y, load(rows, next_top + tall + q))
+    of_x, of_y = summed(x), summed(y)
     for a in range(3):
         for b in range(3):
-            result += point[r, x, a] * block[a, b] * point[r, x, b]
-    return float(result)
+            of_x += point[r, 0, a] * block[a, b] * point[r, 0, b]
+            of_y += point[r, 1, a] * block[a, b] * point[r, 1, b]
+    return of_x, of_y
 
 
 @apart
@@ -310,10 +318,10 @@ def statistics_piece(
                     point_covariance[j, a, b] = room.block[a, b]
             first, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
             for r in range(n):
-                for x in range(2):
-                    residuals[first + r, x] = room.residual[r, x]
-                    through = design.weight[first + r, x] * variance(design, r, n, x, near, room)
-                    redundancy[first + r, x] = 1.0 - through
+                of_x, of_y = variances(design, r, n, near, room)
+                redundancy[first + r, 0] = 1.0 - design.weight[first + r, 0] * of_x
+                redundancy[first + r, 1] = 1.0 - design.weight[first + r, 1] * of_y
+                residuals[first + r, 0], residuals[first + r, 1] = room.residual[r, 0], room.residual[r, 1]
         begin = stop
 
 
