@@ -8,7 +8,6 @@ from photocal.adjustment.kernels.data import Cofactors, Design, Structure, Value
 from photocal.adjustment.kernels.lanes import filled
 from photocal.adjustment.kernels.ray import ray_rows
 from photocal.adjustment.kernels.statistics import (
-    Neighbours,
     Spread,
     gather,
     let_in,
@@ -198,7 +197,6 @@ def point_effects_piece(
     cofactors: Cofactors,
     piece: int,
     effect: Floats,
-    near: Neighbours,
     room: Spread,
 ) -> None:
     """Effects of one piece's rays, see `point_effects`."""
@@ -206,12 +204,12 @@ def point_effects_piece(
     tall = filled(columns(design))
     begin, end = design.pieces[piece], design.pieces[piece + 1]
     while begin < end:
-        stop = let_in(design, begin, end, near)
-        gather(design, cofactors, near)
+        stop = let_in(design, begin, end, room.near)
+        gather(design, cofactors, room.near)
         for nth in range(begin, stop):
             j = design.order[nth]
-            put_rows(design, values, cofactors, j, near, room)
-            put_spread(design, cofactors, j, near, room)
+            put_rows(design, values, cofactors, j, room)
+            put_spread(design, cofactors, j, room)
             first, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
             for r in range(n):
                 for x in range(2):
@@ -234,6 +232,6 @@ def point_effects(design: Design, values: Values, cofactors: Cofactors, effect: 
     def work(piece: int) -> None:
         """The rays of one piece; pieces run side by side."""
         room = room_of(design, cofactors)
-        point_effects_piece(design, values, cofactors, piece, effect, *room)
+        point_effects_piece(design, values, cofactors, piece, effect, room)
 
     each_piece(len(design.pieces) - 1, work)

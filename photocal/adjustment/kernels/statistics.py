@@ -43,6 +43,7 @@ class Neighbours(NamedTuple):
 class Spread(NamedTuple):
     """What one point's rays see of the unknowns, in whole lanes for each image, then for the cameras.
 
+    near: the images among which it is.
     ray: derivatives of one ray.
     place (rays,): of each ray's image among the neighbours.
     residual (rays, 2).
@@ -53,6 +54,7 @@ class Spread(NamedTuple):
     block (3, 3): covariance of the point, Q_pp = V^-1 + spread W V^-1.
     """
 
+    near: Neighbours
     ray: Scratch
     place: Integers
     residual: Floats
@@ -63,7 +65,7 @@ class Spread(NamedTuple):
     block: Floats
 
 
-def room_of(design: Design, cofactors: Cofactors) -> tuple[Neighbours, Spread]:
+def room_of(design: Design, cofactors: Cofactors) -> Spread:
     """Make room for neighbours and for any point and all that its rays touch."""
     images, rays, wide, lens = (
         len(design.image_column),
@@ -76,7 +78,7 @@ def room_of(design: Design, cofactors: Cofactors) -> tuple[Neighbours, Spread]:
         np.full(images, -1), np.full(most, -1), np.zeros((most * wide + lens, most * tall + border))
     )
     shapes = (rays, 2), (rays, 2, tall + border), (rays, 2, 3), *[(3, rays * tall + border)] * 2, (3, 3)
-    return near, Spread(scratch(wide), np.zeros(rays, dtype=np.int64), *map(np.zeros, shapes))
+    return Spread(near, scratch(wide), np.zeros(rays, dtype=np.int64), *map(np.zeros, shapes))
 
 
 @inlined
@@ -150,9 +152,7 @@ def fetch_rays(design: Design, values: Values, cofactors: Cofactors, j: int) -> 
 
 
 @inlined
-def put_rows(
-    design: Design, values: Values, cofactors: Cofactors, j: int, near: Neighbours, room: Spread
-) -> None:
+def put_rows(design: Design, values: Values, cofactors: Cofactors, j: int, room: Spread) -> None:
     """Put the rows of a point's rays into the room, and V^-1 W' of them."""
     ray, rows, mixed, inverse = room.ray, room.rows, room.mixed, cofactors.kept.inverse
     wide, tall, lens = columns(design), filled(columns(design)), cofactors.structure.lens
@@ -165,7 +165,7 @@ def put_rows(
         i = design.ray_image[begin + r]
         k = design.image_lens[i]
         at, count = design.active_column[k], design.active_count[k]
-        room.place[r] = near.place[i]
+        room.place[r] = room.near.place[i]
         room.residual[r, 0], room.residual[r, 1] = ray_rows(design, values, begin + r, i, j, ray)
         for x in range(2):
             for q in range(tall, tall + lens, LANES):
@@ -193,11 +193,11 @@ def put_rows(
 
 
 @inlined
-def put_spread(design: Design, cofactors: Cofactors, j: int, near: Neighbours, room: Spread) -> None:
+def put_spread(design: Design, cofactors: Cofactors, j: int, room: Spread) -> None:
     """Put the covariance of a point, whose rows are in the room, and of it with the others into the room."""
-    (structure, inverse, kept), local, place = cofactors, near.local, room.place
+    (structure, inverse, kept), (_, image, local), place = cofactors, room.near, room.place
     mixed, spread, block = room.mixed, room.spread, room.block
-    wide, tall, lens, most = columns(design), filled(columns(design)), structure.lens, len(near.image)
+    wide, tall, lens, most = columns(design), filled(columns(design)), structure.lens, len(image)
     begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
     step, size, edge = local.shape[1], mixed.shape[1], tall * n
     for q in range(0, edge + lens, LANES):
@@ -252,14 +252,14 @@ def with_point(room: Spread, r: int, x: int, q: int) -> Any:
 
 
 @inlined
-def variances(design: Design, r: int, n: int, near: Neighbours, room: Spread) -> tuple[float, float]:
+def variances(design: Design, r: int, n: int, room: Spread) -> tuple[float, float]:
     """Variances a Q a' of both adjusted coordinates of the ray r of the n of a point."""
-    rows, point, block, local = room.rows, room.point, room.block, near.local
-    wide, tall, most, s = columns(design), filled(columns(design)), len(near.image), room.place[r]
-    k = design.image_lens[near.image[s]]
+    rows, point, block, (_, image, local) = room.rows, room.point, room.block, room.near
+    wide, tall, most, s = columns(design), filled(columns(design)), len(image), room.place[r]
+    k = design.image_lens[image[s]]
     at, count = design.active_column[k], design.active_count[k]
     step, top, next_top = local.shape[1], rows.shape[2] * 2 * r, rows.shape[2] * (2 * r + 1)
-    image, cameras = step * wide * s, step * (wide * most + at)
+    own, cameras = step * wide * s, step * (wide * most + at)
     x, y = none(), none()
     for q in range(0, tall, LANES):
         part_x, part_y = with_point(room, r, 0, tall * r + q), with_point(room, r, 1, tall * r + q)
@@ -269,7 +269,7 @@ def variances(design: Design, r: int, n: int, near: Neighbours, room: Spread) ->
             part_y = plus(part_y, rows[r, 1, tall + at + c], row)
         part_x, part_y = plus(none(), 2.0, part_x), plus(none(), 2.0, part_y)
         for b in range(wide):
-            row = load(local, image + step * b + tall * s + q)
+            row = load(local, own + step * b + tall * s + q)
             part_x = plus(part_x, rows[r, 0, b], row)
             part_y = plus(part_y, rows[r, 1, b], row)
         x = plus_each(x, part_x, load(rows, top + q))
@@ -300,25 +300,24 @@ def statistics_piece(
     point_covariance: Floats,
     residuals: Floats,
     redundancy: Floats,
-    near: Neighbours,
     room: Spread,
 ) -> None:
     """Statistics of one piece's points, see `statistics`."""
     begin, end = design.pieces[piece], design.pieces[piece + 1]
     while begin < end:
-        stop = let_in(design, begin, end, near)
-        gather(design, cofactors, near)
+        stop = let_in(design, begin, end, room.near)
+        gather(design, cofactors, room.near)
         for nth in range(begin, stop):
             j = design.order[nth]
             fetch_rays(design, values, cofactors, design.order[min(nth + AHEAD, end - 1)])
-            put_rows(design, values, cofactors, j, near, room)
-            put_spread(design, cofactors, j, near, room)
+            put_rows(design, values, cofactors, j, room)
+            put_spread(design, cofactors, j, room)
             for a in range(3):
                 for b in range(3):
                     point_covariance[j, a, b] = room.block[a, b]
             first, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
             for r in range(n):
-                of_x, of_y = variances(design, r, n, near, room)
+                of_x, of_y = variances(design, r, n, room)
                 redundancy[first + r, 0] = 1.0 - design.weight[first + r, 0] * of_x
                 redundancy[first + r, 1] = 1.0 - design.weight[first + r, 1] * of_y
                 residuals[first + r, 0], residuals[first + r, 1] = room.residual[r, 0], room.residual[r, 1]
@@ -343,6 +342,6 @@ def statistics(
     def work(piece: int) -> None:
         """Residuals and redundancy of one piece; pieces run side by side."""
         room = room_of(design, cofactors)
-        statistics_piece(design, values, cofactors, piece, point_covariance, residuals, redundancy, *room)
+        statistics_piece(design, values, cofactors, piece, point_covariance, residuals, redundancy, room)
 
     each_piece(len(design.pieces) - 1, work)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from photocal.adjustment.adjust import adjust
+from photocal.adjustment.kernels import statistics
 from photocal.adjustment.network import Network
 from photocal.geometry.camera import (
     AFFINITIES,
@@ -323,3 +324,16 @@ def test_shift_and_height_scale_of_the_flight() -> None:
     sigma = np.array([0.05, INF, 0.05, *[0.0] * 4, INF, 0.1, 0.2, 0.05, *[0.0] * 6])
     true = np.array([*LEVER, 0, 0, 0, 0, *FLIGHT, *[0.0] * 6])
     same(networks.navigated(network, scene, rng, true, sigma))
+
+
+def test_few_images_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Points that follow each other are worked on together until their images are too many."""
+    monkeypatch.setattr(statistics, "NEIGHBOURS", 7)
+    images, points = 12, 36
+    cameras = networks.lens("one"), networks.lens("two", estimate=ALL)
+    scene = networks.convergent(cameras, images=images, points=points)
+    known = np.where(np.arange(points)[:, None] % 4, INF, 0.003)
+    network = networks.observe(scene, np.random.default_rng(8), point_sigma=known)
+    rays = network.rays
+    some = (rays.image - rays.point) % images < 3 + rays.point % 4
+    same(replace(network, rays=rays.rows(some)))
