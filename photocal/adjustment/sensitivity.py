@@ -8,7 +8,7 @@ from photocal.adjustment.kernels.data import Cofactors, Design, Structure, Value
 from photocal.adjustment.kernels.lanes import filled
 from photocal.adjustment.kernels.ray import ray_rows
 from photocal.adjustment.kernels.statistics import (
-    Spread,
+    PointRows,
     gather,
     let_in,
     put_rows,
@@ -197,7 +197,7 @@ def point_effects_piece(
     cofactors: Cofactors,
     piece: int,
     effect: Floats,
-    room: Spread,
+    room: PointRows,
 ) -> None:
     """Effects of one piece's rays, see `point_effects`."""
     rows, block, spread, point = room.rows, room.block, room.spread, room.point

@@ -40,7 +40,7 @@ class Neighbours(NamedTuple):
     local: Floats
 
 
-class Spread(NamedTuple):
+class PointRows(NamedTuple):
     """What one point's rays see of the unknowns, in whole lanes for each image, then for the cameras.
 
     near: the images among which it is.
@@ -65,7 +65,7 @@ class Spread(NamedTuple):
     block: Floats
 
 
-def room_of(design: Design, cofactors: Cofactors) -> Spread:
+def room_of(design: Design, cofactors: Cofactors) -> PointRows:
     """Make room for neighbours and for any point and all that its rays touch."""
     images, rays, wide, lens = (
         len(design.image_column),
@@ -78,7 +78,7 @@ def room_of(design: Design, cofactors: Cofactors) -> Spread:
         np.full(images, -1), np.full(most, -1), np.zeros((most * wide + lens, most * tall + border))
     )
     shapes = (rays, 2), (rays, 2, tall + border), (rays, 2, 3), *[(3, rays * tall + border)] * 2, (3, 3)
-    return Spread(near, scratch(wide), np.zeros(rays, dtype=np.int64), *map(np.zeros, shapes))
+    return PointRows(near, scratch(wide), np.zeros(rays, dtype=np.int64), *map(np.zeros, shapes))
 
 
 @inlined
@@ -152,7 +152,7 @@ def fetch_rays(design: Design, values: Values, cofactors: Cofactors, j: int) -> 
 
 
 @inlined
-def put_rows(design: Design, values: Values, cofactors: Cofactors, j: int, room: Spread) -> None:
+def put_rows(design: Design, values: Values, cofactors: Cofactors, j: int, room: PointRows) -> None:
     """Put the rows of a point's rays into the room, and V^-1 W' of them."""
     ray, rows, mixed, inverse = room.ray, room.rows, room.mixed, cofactors.kept.inverse
     wide, tall, lens = columns(design), filled(columns(design)), cofactors.structure.lens
@@ -193,7 +193,7 @@ def put_rows(design: Design, values: Values, cofactors: Cofactors, j: int, room:
 
 
 @inlined
-def put_spread(design: Design, cofactors: Cofactors, j: int, room: Spread) -> None:
+def put_spread(design: Design, cofactors: Cofactors, j: int, room: PointRows) -> None:
     """Put the covariance of a point, whose rows are in the room, and of it with the others into the room."""
     (structure, inverse, kept), (_, image, local), place = cofactors, room.near, room.place
     mixed, spread, block = room.mixed, room.spread, room.block
@@ -243,7 +243,7 @@ def put_spread(design: Design, cofactors: Cofactors, j: int, room: Spread) -> No
 
 
 @inlined
-def with_point(room: Spread, r: int, x: int, q: int) -> Any:
+def with_point(room: PointRows, r: int, x: int, q: int) -> Any:
     """Covariance of unknowns with the point's part of a coordinate of ray r."""
     spread, point = room.spread, room.point
     total = plus(none(), -point[r, x, 0], load(spread, q))
@@ -252,7 +252,7 @@ def with_point(room: Spread, r: int, x: int, q: int) -> Any:
 
 
 @inlined
-def variances(design: Design, r: int, n: int, room: Spread) -> tuple[float, float]:
+def variances(design: Design, r: int, n: int, room: PointRows) -> tuple[float, float]:
     """Variances a Q a' of both adjusted coordinates of the ray r of the n of a point."""
     rows, point, block, (_, image, local) = room.rows, room.point, room.block, room.near
     wide, tall, most, s = columns(design), filled(columns(design)), len(image), room.place[r]
@@ -300,7 +300,7 @@ def statistics_piece(
     point_covariance: Floats,
     residuals: Floats,
     redundancy: Floats,
-    room: Spread,
+    room: PointRows,
 ) -> None:
     """Statistics of one piece's points, see `statistics`."""
     begin, end = design.pieces[piece], design.pieces[piece + 1]
