@@ -70,7 +70,7 @@ def factorised(problem: Problem, minimum: Minimum) -> Factored:
     raises IllPosedError: when they are singular.
     """
     state = minimum.state
-    normal = minimum.normal or normal_equations(problem, state)
+    normal = minimum.normal or normal_equations(problem, state, room=minimum.room)
     # Only a free network needs both, the matrix and its factor.
     bare = replace(normal, matrix=normal.matrix.copy()) if len(problem.stiffened) else normal
     if not minimum.factored and factorise(problem.layout.envelope, normal.matrix) >= 0:

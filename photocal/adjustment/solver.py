@@ -8,6 +8,7 @@ import numpy as np
 from photocal.adjustment.datum import at_rest, full_solution, inner_state
 from photocal.adjustment.envelope import factorise, solve
 from photocal.adjustment.equations import Equations
+from photocal.adjustment.kernels.data import Eliminated
 from photocal.adjustment.kernels.residuals import evaluate
 from photocal.adjustment.kernels.substitution import back_substitute
 from photocal.adjustment.ledger import enter
@@ -83,12 +84,14 @@ class Minimum:
 
     normal: normal equations there, without damping; None when the last steps needed none.
     factored: whether their matrix is the Cholesky factor already.
+    room: of normal equations on the way, for those at the minimum: fresh memory takes its time.
     """
 
     state: State
     normal: Normal | None
     iterations: tuple[Iteration, ...]
     factored: bool = False
+    room: Eliminated | None = None
 
 
 def minimise(
@@ -141,7 +144,7 @@ def _minimum(
                 tried = step_decrement
                 there = _by_chords(problem, normal, moved, near, step_decrement, steps, report)
             if there is not None:
-                return _released(problem, Minimum(there, None, tuple(steps)), start)
+                return _released(problem, Minimum(there, None, tuple(steps), room=normal.kept), start)
             along_a_valley = ROUNDING < step_decrement < VALLEY * normal.chi_squared
             if bends and along_a_valley:
                 moved = _around_the_bend(problem, normal, state, step) or moved
@@ -329,10 +332,9 @@ def _released(problem: Problem, minimum: Minimum, start: State) -> Minimum:
     """Move a free network onto its start values."""
     if not len(problem.stiffened):
         return minimum
-    state = inner_state(
-        problem, minimum.normal or normal_equations(problem, minimum.state), minimum.state, start
-    )
-    return Minimum(state, None, minimum.iterations)
+    normal = minimum.normal or normal_equations(problem, minimum.state, room=minimum.room)
+    state = inner_state(problem, normal, minimum.state, start)
+    return Minimum(state, None, minimum.iterations, room=normal.kept)
 
 
 def reduced_step(problem: Problem, normal: Normal, damping: float) -> Floats | None:
