@@ -19,7 +19,7 @@ from photocal.adjustment.kernels.lanes import (
 )
 from photocal.adjustment.kernels.ray import corner_of, element_address, ray_rows
 from photocal.base.arrays import Floats, Integers
-from photocal.base.compiled import apart, each_piece, fetch, inlined
+from photocal.base.compiled import compiled, each_piece, fetch, inlined
 from photocal.geometry.lens import Scratch, scratch
 
 # So many images of points that follow each other: their covariance stays near the processor.
@@ -291,7 +291,7 @@ def variances(design: Design, r: int, n: int, room: PointRows) -> tuple[float, f
     return of_x, of_y
 
 
-@apart
+@compiled
 def statistics_piece(
     design: Design,
     values: Values,
