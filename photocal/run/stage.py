@@ -26,8 +26,8 @@ from photocal.base.progress import Progress
 if TYPE_CHECKING:
     from photocal.block.project import Project
 
-# Smaller files are read each time: nothing deceives that, and it takes no time.
-_SMALL_BYTES = 1 << 22
+# Smaller files are read each time: nothing deceives that, and it takes no time. Most pictures are larger.
+_SMALL_BYTES = 1 << 20
 # Of a work folder: digests of files between runs, written when a run ends, however it ends.
 MEMORY = ".digests.json"
 # What a stage was made from and what it wrote.
