@@ -148,7 +148,8 @@ def packed(value: Any) -> dict[str, NDArray[Any]]:
     def plain(part: Any) -> Any:
         """A part as JSON has it, with its arrays by number."""
         if isinstance(part, np.ndarray):
-            arrays[str(len(arrays))] = part
+            # As they are read again: sums over rows depend on how they lie.
+            arrays[str(len(arrays))] = np.asarray(part, order="C")
             return {_ARRAY: str(len(arrays) - 1), "kind": part.dtype.str, "shape": part.shape}
         if is_dataclass(part):
             return {field.name: plain(getattr(part, field.name)) for field in fields(part)}

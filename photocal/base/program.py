@@ -12,8 +12,8 @@ from typing import Any
 from photocal.base.version import __version__
 
 _PACKAGES = ("drivers", "acquire", "photocal")
-# Imports of names, with comments between their brackets; of modules; texts that may name a module. Each begins
-# with its own letter, and is looked for by these: three times as fast as by the borders of words.
+# Imports of names, with comments between their brackets; of modules; texts that may name a module.
+# Looking for their first letters takes a third of the time that borders of words take.
 _NAMES = re.compile(
     r"""f(?<=\bf)rom\s+([\w.]+)\s+import\b[\s\\]*(\((?:[^()#]|\#[^\n]*)*\)|[^\n;#]*)"""
     r"""|i(?<=\bi)mport\s+([\w., \t]+)|["']([\w.]+)(?:(:)[^"'\n]*)?["']"""

@@ -25,7 +25,7 @@ from photocal.block.motion import motion_of
 from photocal.block.rig import rig_of
 from photocal.geometry.camera import Camera, among, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import slopes_of
-from photocal.geometry.frames import LocalFrame, ShiftedFrame, reference_frame, require_geoid
+from photocal.geometry.frames import LocalFrame, ReferenceFrame, ShiftedFrame, reference_frame, require_geoid
 from photocal.geometry.oriented_images import OrientedImages, local_poses
 from photocal.geometry.refraction import apparent_rise
 from photocal.geometry.resection import intersect, ray_residuals
@@ -192,7 +192,7 @@ class NetworkOfBlock:
     network: Network
     points: Integers
     rays: Integers
-    frame: LocalFrame
+    frame: ReferenceFrame | ShiftedFrame
     readouts: tuple[Readout, ...] = ()
 
 
@@ -288,7 +288,7 @@ def assemble(block: Block) -> NetworkOfBlock:
     return NetworkOfBlock(network, used, order, frame)
 
 
-def block_frame(block: Block) -> LocalFrame:
+def block_frame(block: Block) -> ReferenceFrame | ShiftedFrame:
     """Frame of a block, with the middle of its images and points as local origin.
 
     raises ConfigurationError: for an unknown system or heights of a kind that does not fit it.
@@ -296,7 +296,7 @@ def block_frame(block: Block) -> LocalFrame:
     return frame_of(block.frame, block.height, block.images.values[:, 3:], block.points.values)
 
 
-def frame_of(system: str, height: str, *places: Floats) -> LocalFrame:
+def frame_of(system: str, height: str, *places: Floats) -> ReferenceFrame | ShiftedFrame:
     """Frame of a system with the middle of places as local origin, errors as of `block_frame`."""
     every = np.vstack(places)
     if np.isnan(every).all():

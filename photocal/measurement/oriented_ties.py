@@ -54,8 +54,8 @@ _WITHOUT_CONTROL = ("block-not-placed", "positions-in-line")
 class Oriented:
     """A block oriented by tie points.
 
-    by_rays: before marks were used. Patches are cut as it orients the images, so that a mark that moves
-        leaves the cached matches as they are.
+    by_rays: before marks were used. All that is found in the images comes of it, so that a mark that moves
+        leaves the cached tie points as they are.
     verified: all tracks that fit the orientation, before they were thinned.
     marked: the images with the control and the marks that fit.
     """
@@ -82,7 +82,11 @@ def first_orientation(marked: Block, tracks: Tracks, cache: Path | None = None) 
 
     cache: folder where what depends on the tracks alone is kept.
     """
-    names, sigma = marked.images.names, marked.images.sigma
+    return _with_marks(*_by_rays(marked, tracks, cache), marked)
+
+
+def _by_rays(marked: Block, tracks: Tracks, cache: Path | None) -> tuple[AdjustedTies, list[Finding]]:
+    """Orient a block by tracks of features and by positions, as if it had no marks."""
     start = replace(marked, observations=marked.observations.rows(np.zeros(0, dtype=np.int64)))
     if len(marked.observations.image) and np.isfinite(marked.images.values[:, 3:]).all(axis=1).any():
         # A corrected coordinate would move the middle of the block, and each patch by a hair.
@@ -93,31 +97,38 @@ def first_orientation(marked: Block, tracks: Tracks, cache: Path | None = None) 
     placed, poses, reasons, found = made_once(
         cache, Placed, (start, strong), lambda: oriented(start, strong, cache)
     )
-    findings = list(found)
     named = zip(start.images.names, reasons, strict=True)
     left_out += [left_out_entry(name, why, "not-joined") for name, why in named if why]
     reached = np.array([not reason for reason in reasons])
     start, tracks = placed.of_images(reached), of_images(tracks, reached)
-    stated = dict(zip(names, sigma, strict=True))
-    by_rays = adjust_ties(start, poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL), cache)
-    first, fits = by_rays, by_rays.start
+    adjusted = adjust_ties(start, poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL), cache)
+    return replace(adjusted, left_out=(*left_out, *adjusted.left_out)), list(found)
+
+
+def _with_marks(alone: AdjustedTies, findings: list[Finding], marked: Block) -> Oriented:
+    """Bring what fits of a block's control to its images as rays alone orient them.
+
+    findings: of that orientation.
+    """
+    stated = dict(zip(marked.images.names, marked.images.sigma, strict=True))
+    final, fits = alone, alone.start
     if len(marked.observations.image) or marked.points.of_role("control").any():
-        fits, poses, of_control, controlled = fit_control(first, marked, _views(first))
+        fits, poses, of_control, controlled = fit_control(alone, marked, _views(alone))
         if controlled:
             findings = [finding for finding in findings if finding.code not in _WITHOUT_CONTROL]
         # Why listed control places nothing comes before what follows from it.
         findings = [*of_control, *findings]
         if len(fits.observations.image):
-            first, fits, findings = _with_control(first, fits, poses, findings)
-        elif len(first.start.points.names) < len(fits.points.names):
-            first = adjust_ties(fits, first.values, first.tracks).after(first)
-    first = _by_positions(first, stated)
-    if first.start.datum != "free":
-        as_stated, shifted = _as_stated(first.start, stated), _controlled(first.start)
-        findings += position_sigmas(as_stated, first.values, shifted=shifted)[2]
+            final, fits, findings = _with_control(alone, fits, poses, findings)
+        elif len(alone.start.points.names) < len(fits.points.names):
+            final = adjust_ties(fits, alone.values, alone.tracks).after(alone)
+    final = _by_positions(final, stated)
+    if final.start.datum != "free":
+        as_stated, shifted = _as_stated(final.start, stated), _controlled(final.start)
+        findings = [*findings, *position_sigmas(as_stated, final.values, shifted=shifted)[2]]
     elif marked.datum != "free" and NOT_PLACED not in findings:
-        findings.append(NOT_PLACED)
-    return Oriented(first, by_rays, first.tracks, fits, (*left_out, *first.left_out), tuple(findings))
+        findings = [*findings, NOT_PLACED]
+    return Oriented(final, alone, final.tracks, fits, final.left_out, tuple(findings))
 
 
 def _with_control(
@@ -181,40 +192,39 @@ def orient_ties(
     progress: Progress,
 ) -> Oriented:
     """Orient a block by tracks of features and measure its tie points precisely."""
-    names = start.images.names
+    names, cache, found = start.images.names, sources[0].cache if sources else None, list[Finding]()
     try:
         with progress("orienting the pictures", None):
-            first = first_orientation(start, tracks, sources[0].cache if sources else None)
+            alone, findings = _by_rays(start, tracks, cache)
     except PhotocalError as refusal:
-        places = np.full((tracks.count, 3), np.nan)
-        block = with_ties(start, tracks, places, np.ones(len(tracks.track)))
-        raise UnorientedError(refusal.what, remedy=refusal.remedy, block=block) from refusal
-    by_rays, final, findings = first.by_rays, first.adjusted, [*first.findings, ESTIMATED]
-    matched = of_images(tracks, np.isin(names, by_rays.start.images.names))
-    sizes, left_out = _sizes(by_rays.start), list(first.left_out)
-    matched = thin(matched, sizes, CELLS, MATCHED_IN_A_CELL)
+        raise _unoriented(start, tracks, refusal) from refusal
+    matched = of_images(tracks, np.isin(names, alone.start.images.names))
+    matched = thin(matched, _sizes(alone.start), CELLS, MATCHED_IN_A_CELL)
     # How often images are halved, pass after pass, so that each finds what the one before has left.
-    longest_px = float(sizes.max())
+    longest_px = float(_sizes(alone.start).max())
     levels = (int(np.ceil(np.log2(longest_px / USUAL_PX))), 0) if longest_px > LARGE_PX else (0,)
     try:
         for level in levels:
-            if level != levels[0]:
-                before = by_rays.start
-                by_rays = _adjusted(before, by_rays.values, matched)
-                left_out += by_rays.left_out
-                matched = of_images(matched, np.isin(before.images.names, by_rays.start.images.names))
-            matched = _matched(by_rays, matched, (names, sources, pairs), processes, progress, level)
-        seen = np.isin(final.start.images.names, by_rays.start.images.names)
-        start = final.start.of_images(seen)
-        matched = of_images(matched, np.isin(by_rays.start.images.names, start.images.names))
-        final = _adjusted(start, final.values[seen], matched)
-        left_out += final.left_out
-        matched = of_images(matched, np.isin(start.images.names, final.start.images.names))
+            matched = _matched(alone, matched, (names, sources, pairs), processes, progress, level)
+            alone, before = _adjusted(alone, matched, cache), alone
+            matched = of_images(matched, np.isin(before.start.images.names, alone.start.images.names))
     except (IllPosedError, NotConvergedError) as refusal:
-        matched = final.tracks
-        findings.append(Finding("matches-not-adjusted", "doubtful", refusal.what))
-    verified = _verified(final, matched)
-    return Oriented(final, by_rays, verified, first.marked, tuple(left_out), tuple(findings))
+        matched = alone.tracks
+        found.append(Finding("matches-not-adjusted", "doubtful", refusal.what))
+    try:
+        final = _with_marks(alone, findings, start)
+    except PhotocalError as refusal:
+        raise _unoriented(start, tracks, refusal) from refusal
+    stay = np.isin(alone.start.images.names, final.adjusted.start.images.names)
+    verified = _verified(final.adjusted, of_images(matched, stay))
+    return replace(final, verified=verified, findings=(*final.findings, ESTIMATED, *found))
+
+
+def _unoriented(start: Block, tracks: Tracks, refusal: PhotocalError) -> UnorientedError:
+    """Why a block is not oriented, with what was measured."""
+    places = np.full((tracks.count, 3), np.nan)
+    block = with_ties(start, tracks, places, np.ones(len(tracks.track)))
+    return UnorientedError(refusal.what, remedy=refusal.remedy, block=block)
 
 
 def _matched(
@@ -248,9 +258,11 @@ def _matched(
     return made_once(sources[0].cache, Tracks, (content, views, tracks, partners, level), matched)
 
 
-def _adjusted(start: Block, values: Floats, matched: Tracks) -> AdjustedTies:
-    """Adjust a block by matched tie points, of which the strong ones are used."""
-    return adjust_ties(start, values, _strong(spaced(matched, PATCH_PX), _sizes(start), IN_A_CELL))
+def _adjusted(before: AdjustedTies, matched: Tracks, cache: Path | None) -> AdjustedTies:
+    """Adjust a block anew by matched tie points, of which the strong ones are used."""
+    strong = _strong(spaced(matched, PATCH_PX), _sizes(before.start), IN_A_CELL)
+    after = adjust_ties(before.start, before.values, strong, cache)
+    return replace(after, left_out=(*before.left_out, *after.left_out))
 
 
 def _sizes(block: Block) -> Floats:

@@ -130,10 +130,14 @@ class _Ties:
 def adjust_ties(start: Block, poses: Floats, tracks: Tracks, cache: Path | None = None) -> AdjustedTies:
     """Adjust a block with tie points; rays that do not fit and undetermined images are left out.
 
-    cache: folder where the rays that fit are kept, for blocks that are adjusted again: those without marks.
+    cache: folder where the result is kept, for blocks that are adjusted again: those without marks.
     """
+    return made_once(cache, AdjustedTies, (start, poses, tracks), lambda: _adjusted(start, poses, tracks))
+
+
+def _adjusted(start: Block, poses: Floats, tracks: Tracks) -> AdjustedTies:
     total, given = len(tracks.track), start.cameras
-    ties = made_once(cache, _Ties, (start, poses, tracks), lambda: _fitting_ties(start, poses, tracks))
+    ties = _fitting_ties(start, poses, tracks)
     # Readouts that the network did not bear while rays still fell out are tested once more.
     ties, block = replace(ties, start=_opened(ties.start, given)).held()
     ties, block, solved = _where_rays_meet(ties, block, held=False)
