@@ -215,9 +215,9 @@ def ray_sigmas(scale: Floats, image: Integers, size: Floats, redundancy: Floats)
     of_image = np.split(rays[np.argsort(image[rays], kind="stable")], np.cumsum(count)[:-1])
     factor = np.ones(images)
     # Classes and images in turn, until neither changes.
-    turns = 4
+    turns, member = 4, _classes(scale)
     for _ in range(turns):
-        of_class = class_sigmas(scale, size / factor[image], redundancy)
+        of_class = _sigma_of_classes(member, size / factor[image], redundancy)
         for k in judged:
             own = of_image[k]
             factor[k] = _sigma_of_the_kept((size[own] / of_class[own]) ** 2, 2 * redundancy[own])
@@ -225,21 +225,30 @@ def ray_sigmas(scale: Floats, image: Integers, size: Floats, redundancy: Floats)
         factor[judged] /= (
             np.exp(np.average(np.log(factor[judged]), weights=count[judged])) if len(judged) else 1
         )
-    of_class = class_sigmas(scale, size / factor[image], redundancy)
+    of_class = _sigma_of_classes(member, size / factor[image], redundancy)
     return np.maximum(of_class * factor[image], FINEST_PX)
 
 
 def class_sigmas(scale: Floats, size: Floats, redundancy: Floats) -> Floats:
     """Sigma of a coordinate for each ray: of its class of scale, robust against what is still wrong."""
+    return _sigma_of_classes(_classes(scale), size, redundancy)
+
+
+def _classes(scale: Floats) -> Integers:
+    """Class of each ray by its scale."""
     classes = int(np.clip(len(scale) // FEWEST_IN_CLASS, 1, CLASSES))
     edges = np.quantile(scale, np.linspace(0, 1, classes + 1)[1:-1])
-    member = np.searchsorted(edges, scale)
-    sigma = np.ones(len(scale))
-    for k in range(classes):
-        of_class = (member == k) & (redundancy > policy.least_checked)
-        if of_class.any():
-            sigma[member == k] = _sigma_of_the_kept(size[of_class] ** 2, 2 * redundancy[of_class])
-    return np.maximum(sigma, FINEST_PX)
+    return np.asarray(np.searchsorted(edges, scale), dtype=np.int64)
+
+
+def _sigma_of_classes(member: Integers, size: Floats, redundancy: Floats) -> Floats:
+    sigma = np.ones(CLASSES)
+    seen = np.where(redundancy > policy.least_checked, member, CLASSES)
+    for k in range(CLASSES):
+        of_class = np.flatnonzero(seen == k)
+        if len(of_class):
+            sigma[k] = _sigma_of_the_kept(size[of_class] ** 2, 2 * redundancy[of_class])
+    return np.asarray(np.maximum(sigma, FINEST_PX)[member])
 
 
 def _sigma_of_the_kept(squares: Floats, redundancy: Floats) -> float:
