@@ -244,7 +244,8 @@ CHANGES: dict[str, Callable[[Path], None]] = {
     "a standard deviation": _replaced("control.csv", ",0.01,0.01,0.01,", ",0.05,0.05,0.05,"),
     "an option of the camera": _replaced("project.toml", '["c", "K1"]', '["c", "K1", "K2"]'),
     "its principal distance": _replaced("project.toml", "c = 4.5", "c = 4.45"),
-    "a picture out": _without_first,
+    "its lens as given": _replaced("project.toml", 'lens = "unknown"', 'lens = "given"'),
+    "a picture taken away": _without_first,
 }
 
 
@@ -252,9 +253,10 @@ CHANGES: dict[str, Callable[[Path], None]] = {
 def measured_once(
     site: tuple[Path, Site, dict[str, tuple[float, float]]], tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, Path, Block]:
-    """A site that was measured, the cache of that, and the block."""
+    """A site that was measured, with the lens that its rays prefer; the cache of that, and the block."""
     folder, cache = tmp_path_factory.mktemp("once") / "site", tmp_path_factory.mktemp("cache")
     shutil.copytree(site[0], folder)
+    _replaced("project.toml", 'folder = "images"', 'folder = "images"\nlens = "unknown"')(folder)
     options = MeasureOptions(workers=1, cache=cache)
     return folder, cache, measure(read_project(folder / "project.toml"), options).block
 
