@@ -12,7 +12,7 @@ from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
 from photocal.analysis.georeferencing.causes import slips_of
 from photocal.analysis.georeferencing.comparison import exposure_difference
 from photocal.analysis.georeferencing.direct import direct_orientation
-from photocal.analysis.georeferencing.methods import in_local_frame
+from photocal.analysis.georeferencing.prepared import in_local_frame
 from photocal.analysis.left_out import Checks
 from photocal.analysis.outcome import (
     ANALYSIS,

@@ -158,8 +158,9 @@ def judge_block(
     """Georeference a block three ways and judge it."""
     from photocal.analysis.accuracy.maps import reference_system
     from photocal.analysis.georeferencing.comparison import check_block
-    from photocal.analysis.georeferencing.methods import METHODS, with_shutters
+    from photocal.analysis.georeferencing.methods import METHODS
     from photocal.analysis.georeferencing.output import to_json, to_text
+    from photocal.analysis.georeferencing.prepared import with_shutters
     from photocal.exchange.formats import read_any_block
     from photocal.findings.finding import Finding
     from photocal.findings.texts import finding_json, finding_text, plain

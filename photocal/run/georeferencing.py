@@ -88,7 +88,7 @@ def question_of(project: Project) -> Question:
 def calibrated_on_the_job(block: Block) -> tuple[Block, Calibration]:
     """Calibrate camera and mounting of a flight."""
     from photocal.analysis.georeferencing.direct import calibrate
-    from photocal.analysis.georeferencing.methods import (
+    from photocal.analysis.georeferencing.prepared import (
         checkable,
         in_local_frame,
         with_attitude_angles,

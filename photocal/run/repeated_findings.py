@@ -96,7 +96,7 @@ def _of_check(source: BlockSource, done: Callable[[], None]) -> tuple[tuple[Find
     from photocal.analysis.accuracy.standard import Question
     from photocal.analysis.georeferencing.comparison import check_block
     from photocal.analysis.georeferencing.findings import block_findings
-    from photocal.analysis.georeferencing.methods import with_shutters
+    from photocal.analysis.georeferencing.prepared import with_shutters
     from photocal.measurement.oriented_ties import NOT_PLACED
 
     try:

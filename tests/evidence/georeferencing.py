@@ -19,7 +19,8 @@ from scipy import stats
 
 from photocal.analysis.georeferencing.causes import causes_of
 from photocal.analysis.georeferencing.comparison import differences
-from photocal.analysis.georeferencing.methods import METHODS, of_method, with_attitude_angles
+from photocal.analysis.georeferencing.methods import METHODS, of_method
+from photocal.analysis.georeferencing.prepared import with_attitude_angles
 from photocal.block.folder import read_block
 from tests.photocal.analysis.georeferencing.flights import Errors, Plan, fly
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from photocal.analysis.georeferencing.causes import causes_of, mistyped_of, slips_of
-from photocal.analysis.georeferencing.methods import with_attitude_angles
+from photocal.analysis.georeferencing.prepared import with_attitude_angles
 from photocal.base.arrays import Floats
 from photocal.block.folder import read_block
 from photocal.block.model import Block

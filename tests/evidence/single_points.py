@@ -20,12 +20,8 @@ import photocal
 from photocal.adjustment.adjusted import fit
 from photocal.analysis.georeferencing.comparison import Differences, differences
 from photocal.analysis.georeferencing.findings import by_single_points
-from photocal.analysis.georeferencing.methods import (
-    checkable,
-    in_local_frame,
-    of_method,
-    with_attitude_angles,
-)
+from photocal.analysis.georeferencing.methods import of_method
+from photocal.analysis.georeferencing.prepared import checkable, in_local_frame, with_attitude_angles
 from photocal.base.errors import PhotocalError
 from photocal.block.network import assemble
 from photocal.hypotheses.adequacy import memory_of

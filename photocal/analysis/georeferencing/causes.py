@@ -19,13 +19,8 @@ from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, SHIFT, TIME, body_to_camera
 from photocal.adjustment.readout import READOUT
 from photocal.analysis.accuracy import ground_points
-from photocal.analysis.georeferencing.methods import (
-    Georeferenced,
-    as_mounted,
-    start_near,
-    without_georeference,
-    without_weak_images,
-)
+from photocal.analysis.georeferencing.methods import Georeferenced, start_near
+from photocal.analysis.georeferencing.prepared import as_mounted, without_georeference, without_weak_images
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, PhotocalError
 from photocal.block.model import Block, ObjectPoints

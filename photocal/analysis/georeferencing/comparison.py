@@ -31,12 +31,14 @@ from photocal.analysis.georeferencing.methods import (
     Georeferenced,
     Method,
     as_adjusted,
-    checkable,
     degraded,
-    in_local_frame,
     is_adjustment_of,
     of_method,
     stands_for,
+)
+from photocal.analysis.georeferencing.prepared import (
+    checkable,
+    in_local_frame,
     with_attitude_angles,
     with_shutters,
 )

@@ -18,14 +18,11 @@ from photocal.analysis.georeferencing.comparison import (
     exposure_difference,
     rms,
 )
-from photocal.analysis.georeferencing.methods import (
-    Degradation,
-    Method,
+from photocal.analysis.georeferencing.methods import Degradation, Method, degraded, of_method
+from photocal.analysis.georeferencing.prepared import (
     checkable,
-    degraded,
     ground_points,
     in_local_frame,
-    of_method,
     with_attitude_angles,
     with_roles,
 )

@@ -19,7 +19,8 @@ from photocal.analysis.accuracy.variance_analysis import (
     variance_tables,
 )
 from photocal.analysis.georeferencing.comparison import differences, exposure_difference
-from photocal.analysis.georeferencing.methods import of_method, with_roles
+from photocal.analysis.georeferencing.methods import of_method
+from photocal.analysis.georeferencing.prepared import with_roles
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.block.model import Block

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.mounting import NO_POSITIONS, Attitudes, Mounting
-from photocal.analysis.georeferencing.methods import with_shutters
+from photocal.analysis.georeferencing.prepared import with_shutters
 from photocal.base.errors import ConfigurationError
 from photocal.block.camera_setup import CameraKeys, make_camera
 from photocal.block.folder import read_block

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.readout import with_lags
 from photocal.adjustment.rig import OF_HEAD
-from photocal.analysis.georeferencing.methods import with_shutters
+from photocal.analysis.georeferencing.prepared import with_shutters
 from photocal.base.errors import ConfigurationError
 from photocal.block.folder import read_block
 from photocal.block.network import assemble

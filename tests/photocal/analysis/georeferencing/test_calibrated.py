@@ -13,7 +13,8 @@ from scipy import stats
 from photocal.adjustment.mounting import STRIPS
 from photocal.analysis.georeferencing.comparison import differences
 from photocal.analysis.georeferencing.direct import Calibration, calibrate
-from photocal.analysis.georeferencing.methods import of_method, with_attitude_angles
+from photocal.analysis.georeferencing.methods import of_method
+from photocal.analysis.georeferencing.prepared import with_attitude_angles
 from photocal.base.errors import ConfigurationError
 from photocal.block.folder import read_block
 from photocal.block.model import Block

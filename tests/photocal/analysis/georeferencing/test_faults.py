@@ -16,7 +16,7 @@ from photocal.analysis.accuracy.standard import Question
 from photocal.analysis.georeferencing.causes import Mistyped, causes_of, mistyped_of, slips_of
 from photocal.analysis.georeferencing.comparison import check_block
 from photocal.analysis.georeferencing.findings import block_findings
-from photocal.analysis.georeferencing.methods import with_attitude_angles, with_roles
+from photocal.analysis.georeferencing.prepared import with_attitude_angles, with_roles
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.network import assemble

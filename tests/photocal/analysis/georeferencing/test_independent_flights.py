@@ -15,8 +15,9 @@ from photocal.adjustment.solver import ITERATIONS
 from photocal.analysis.accuracy.standard import Question
 from photocal.analysis.georeferencing.comparison import BlockCheck, check_block, differences
 from photocal.analysis.georeferencing.findings import block_findings
-from photocal.analysis.georeferencing.methods import Degradation, of_method, with_attitude_angles
+from photocal.analysis.georeferencing.methods import Degradation, of_method
 from photocal.analysis.georeferencing.output import to_text
+from photocal.analysis.georeferencing.prepared import with_attitude_angles
 from photocal.block.model import Block
 from tests.evidence.judging import chance, fly, judged
 from tests.independent.detectable import detectable, noncentrality, scaled

@@ -9,7 +9,8 @@ import pytest
 from scipy import stats
 
 from photocal.analysis.georeferencing.comparison import differences, joint_test
-from photocal.analysis.georeferencing.methods import of_method, with_attitude_angles
+from photocal.analysis.georeferencing.methods import of_method
+from photocal.analysis.georeferencing.prepared import with_attitude_angles
 from photocal.block.folder import read_block
 from tests.photocal.analysis.georeferencing.flights import Plan, fly
 

@@ -10,7 +10,8 @@ import pytest
 
 from photocal.analysis.accuracy.standard import Question
 from photocal.analysis.georeferencing.comparison import check_block, differences
-from photocal.analysis.georeferencing.methods import Degradation, of_method, with_roles
+from photocal.analysis.georeferencing.methods import Degradation, of_method
+from photocal.analysis.georeferencing.prepared import with_roles
 from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.micmac import read_micmac
 from photocal.exchange.photomodeler import block_from_export, read_control, read_export

@@ -11,7 +11,7 @@ import pytest
 
 from photocal.analysis.georeferencing.causes import Separation, causes_of
 from photocal.analysis.georeferencing.findings import separation_findings
-from photocal.analysis.georeferencing.methods import with_attitude_angles
+from photocal.analysis.georeferencing.prepared import with_attitude_angles
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.findings.finding import Finding

@@ -9,14 +9,8 @@ import pytest
 from scipy import stats
 
 from photocal.analysis.georeferencing.comparison import differences
-from photocal.analysis.georeferencing.methods import (
-    METHODS,
-    Method,
-    checkable,
-    in_local_frame,
-    of_method,
-    with_attitude_angles,
-)
+from photocal.analysis.georeferencing.methods import METHODS, Method, of_method
+from photocal.analysis.georeferencing.prepared import checkable, in_local_frame, with_attitude_angles
 from photocal.base.errors import IllPosedError
 from photocal.block.folder import read_block
 from tests.photocal.analysis.georeferencing.flights import Plan, fly
