@@ -275,11 +275,46 @@ def with_released_cameras(
         released, block, chosen = with_chosen_lenses(released, block, of_images(held.tracks, stay))
         findings += chosen
     # Not before: beside a readout that a wrong lens feigned images seem to vibrate, too.
-    released = with_vibration(released)
+    released, needless = _without_needless_scales(with_vibration(released), wanted)
+    if needless:
+        cameras = (
+            replace(camera, estimated=camera.estimated & ~_SCALE) if camera.id in needless else camera
+            for camera in block.cameras
+        )
+        block = replace(block, cameras=tuple(cameras))
+        findings = [f for f in findings if f.code != "lens-chosen" or f.subject not in needless]
     findings += _moving(released)
     measured, of_positions = _restored(held, released, block)
     still = [finding for finding in oriented.findings if not _outdated(finding, wanted)]
     return released, measured, [*still, *of_positions, *findings]
+
+
+def _without_needless_scales(
+    released: AdjustedTies, wanted: Sequence[Camera]
+) -> tuple[AdjustedTies, set[str]]:
+    """Take scales back that were chosen beside a readout, and pay no more where images may vibrate, too.
+
+    returns: the cameras that lose one.
+    """
+    asked, cameras, needless = {camera.id: camera for camera in wanted}, released.start.cameras, set[str]()
+    for place, camera in enumerate(cameras):
+        scale = np.where(asked[camera.id].estimated, False, _SCALE & camera.estimated)
+        if not (camera.rolling and scale.any()):
+            continue
+        values = np.where(scale, asked[camera.id].values, camera.values)
+        plain = replace(camera, estimated=camera.estimated & ~scale, values=values)
+        others = (*cameras[:place], plain, *cameras[place + 1 :])
+        with suppress(IllPosedError, NotConvergedError):
+            if (
+                _least(released, others, place)[0] - _least(released, cameras, place)[0]
+                <= _GAIN * scale.sum()
+            ):
+                cameras = others
+                needless.add(camera.id)
+    if not needless:
+        return released, needless
+    start = replace(released.start, cameras=cameras)
+    return adjust_ties(start, released.values, released.tracks).after(released), needless
 
 
 def release(
