@@ -297,18 +297,15 @@ def _without_needless_scales(
     returns: the cameras that lose one.
     """
     asked, cameras, needless = {camera.id: camera for camera in wanted}, released.start.cameras, set[str]()
-    for place, camera in enumerate(cameras):
+    for k, camera in enumerate(cameras):
         scale = np.where(asked[camera.id].estimated, False, _SCALE & camera.estimated)
         if not (camera.rolling and scale.any()):
             continue
         values = np.where(scale, asked[camera.id].values, camera.values)
         plain = replace(camera, estimated=camera.estimated & ~scale, values=values)
-        others = (*cameras[:place], plain, *cameras[place + 1 :])
+        others = (*cameras[:k], plain, *cameras[k + 1 :])
         with suppress(IllPosedError, NotConvergedError):
-            if (
-                _least(released, others, place)[0] - _least(released, cameras, place)[0]
-                <= _GAIN * scale.sum()
-            ):
+            if _least(released, others, k)[0] - _least(released, cameras, k)[0] <= _GAIN * scale.sum():
                 cameras = others
                 needless.add(camera.id)
     if not needless:
