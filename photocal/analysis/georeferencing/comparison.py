@@ -302,7 +302,6 @@ def check_block(
 
     on_the_job: whether camera and mounting of the direct method are those of the integrated one, not those
         that the block states; they always are where it leaves some of them open.
-
     known: the block adjusted before: what a method would adjust again is taken from there.
 
     raises IllPosedError: when no method can be computed; the message has what was found in the ground points.
