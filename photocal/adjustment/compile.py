@@ -11,6 +11,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.adjusted import fit
 from photocal.adjustment.factored import factored
 from photocal.adjustment.leverage import cameras_without
+from photocal.adjustment.mounting import STRIPS, Attitudes, Mounting, Positions
 from photocal.adjustment.near import Removals
 from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, Relations, point_weights
 from photocal.adjustment.score import followed_by, score
@@ -19,6 +20,7 @@ from photocal.base.compiled import AHEAD, FOLDER
 from photocal.base.operating_system import lock
 from photocal.geometry.camera import PARAMETERS, SHAKE_DEGREES, camera
 from photocal.geometry.distortion import distorted, undistorted
+from photocal.geometry.rotation import NADIR
 
 
 def _network() -> Network:
@@ -39,10 +41,29 @@ def _network() -> Network:
     return Network((lens,), exposures, Points(grid, held, weight), rays, ("a", "b"), names)
 
 
+def _placed(network: Network) -> Network:
+    """With observed positions and attitudes."""
+    images, covariance = np.arange(2), np.tile(1e-4 * np.eye(3), (2, 1, 1))
+    nothing = np.zeros(2)
+    positions = Positions(
+        images,
+        network.exposures.values[:, 3:],
+        covariance,
+        np.zeros((2, 3)),
+        np.zeros(2, np.int64),
+        nothing,
+        nothing,
+    )
+    attitudes = Attitudes(images, np.tile(NADIR, (2, 1, 1)), covariance)
+    held = np.zeros(STRIPS + 6)
+    return replace(network, positions=positions, attitudes=attitudes, mounting=Mounting(NADIR, held, held))
+
+
 def compile_usual() -> None:
     """Compile what networks of Brown's lenses without a rolling shutter need."""
     network = _network()
     distorted(network.cameras[0], undistorted(network.cameras[0], network.rays.plane))
+    adjust(_placed(network))
     solution = adjust(network)
     snoop(network)
     # What an analysis does with the factor.

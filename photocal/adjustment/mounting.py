@@ -8,16 +8,15 @@ strip.
 The attitude R (object to body axes) obeys  M = exp([r]x) B R  with r the residual in camera axes.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.equations import Equations
+from photocal.adjustment.kernels.placing import OF_ATTITUDE, OF_POSITION, attitude_rows, position_rows
 from photocal.base.arrays import Columns, Floats, Integers
-from photocal.geometry.rotation import NADIR, left_jacobian, skew, turned
+from photocal.geometry.rotation import NADIR, turned
 
 _UP = np.array([0.0, 0.0, 1.0])
 
@@ -135,7 +134,7 @@ def antennas(
 
 def position_equations(
     positions: Positions,
-    matrix: Floats,
+    body: tuple[Floats, Floats],
     values: Floats,
     rotation: Floats,
     centre: Floats,
@@ -143,60 +142,42 @@ def position_equations(
     basis: Floats,
     common_columns: Integers,
 ) -> Equations:
-    """Linearise the antenna positions; matrix as in `antennas`."""
-    image, n = positions.image, len(positions.image)
-    arm = matrix @ values[LEVER]
-    to_object = np.swapaxes(rotation[image], 1, 2)
-    at = (STRIPS + 6 * positions.strip)[:, None] + np.arange(6)
-    computed = antennas(positions, matrix, values, rotation, centre)
-    eye = np.broadcast_to(np.eye(3), (n, 3, 3))
-    turned_arm = to_object @ skew(arm)
-    parts = [(image_columns[image, :3], turned_arm @ basis[image]), (image_columns[image, 3:], eye)]
-    of_flight: list[tuple[slice, Callable[[], Floats]]] = [
-        (LEVER, lambda: to_object @ matrix),
-        (BORESIGHT, lambda: -turned_arm @ left_jacobian(values[BORESIGHT])),
-        (slice(TIME, TIME + 1), lambda: -positions.velocity[:, :, None]),
-        (SHIFT, lambda: eye),
-        (slice(HEIGHT_SCALE, STRIPS), lambda: positions.above[:, None, None] * _UP[:, None]),
-    ]
-    # What is held takes no time.
-    parts += [
-        (np.tile(common_columns[which], (n, 1)), block())
-        for which, block in of_flight
-        if (common_columns[which] >= 0).any()
-    ]
-    parts += [
-        (common_columns[at[:, :3]], eye),
-        (common_columns[at[:, 3:]], eye * positions.time[:, None, None]),
-    ]
-    return whitened(parts, computed - positions.values, positions.whitening)
+    """Linearise the antenna positions.
+
+    body: matrix as in `antennas`, and the turn of the camera by a unit of the boresight, (3, 3) each.
+    """
+    image, (matrix, by_boresight) = positions.image, body
+    miss = antennas(positions, matrix, values, rotation, centre) - positions.values
+    rows = np.empty((len(image), 3, OF_POSITION + 1))
+    position_rows(
+        rotation[image],
+        basis[image],
+        positions.whitening,
+        matrix,
+        by_boresight,
+        matrix @ values[LEVER],
+        np.column_stack([miss, positions.velocity, positions.above, positions.time]),
+        rows,
+    )
+    of_flight = np.broadcast_to(common_columns[:STRIPS], (len(image), STRIPS))
+    of_strip = common_columns[(STRIPS + 6 * positions.strip)[:, None] + np.arange(6)]
+    return _in_rows(np.hstack([image_columns[image], of_flight, of_strip]), rows)
 
 
 def attitude_equations(
     attitudes: Attitudes,
-    matrix: Floats,
-    values: Floats,
+    body: tuple[Floats, Floats],
     rotation: Floats,
     image_columns: Integers,
     basis: Floats,
     common_columns: Integers,
 ) -> Equations:
     """Linearise the attitudes; parameters and result as in `position_equations`."""
-    image, n = attitudes.image, len(attitudes.image)
-    if not n:
-        return NO_EQUATIONS
-    turned_back = rotation[image] @ np.swapaxes(matrix @ attitudes.rotation, 1, 2)
-    residual = Rotation.from_matrix(turned_back).as_rotvec()
-    to_body = matrix.T
-    inverse_left = np.linalg.inv(left_jacobian(residual))
-    parts = [(image_columns[image, :3], to_body @ inverse_left @ basis[image])]
-    of_boresight = common_columns[BORESIGHT]
-    if (of_boresight >= 0).any():
-        # J(-t) = J(t)'. It turns the axes in which the residual is given, too: hence the cross product.
-        turning = skew(residual) - np.swapaxes(inverse_left, 1, 2)
-        block = to_body @ turning @ left_jacobian(values[BORESIGHT])
-        parts.append((np.tile(of_boresight, (n, 1)), block))
-    return whitened(parts, residual @ matrix, attitudes.whitening)
+    image, observed = attitudes.image, np.ascontiguousarray(attitudes.rotation)
+    rows = np.empty((len(image), 3, OF_ATTITUDE + 1))
+    attitude_rows(rotation[image], basis[image], attitudes.whitening, *body, observed, rows)
+    of_boresight = np.broadcast_to(common_columns[BORESIGHT], (len(image), 3))
+    return _in_rows(np.hstack([image_columns[image, :3], of_boresight]), rows)
 
 
 def common_equations(given: Floats, sigma: Floats, values: Floats, common_columns: Integers) -> Equations:
@@ -214,18 +195,21 @@ def whitened(parts: list[tuple[Integers, Floats]], residual: Floats, root: Float
 
     root (n, 3, 3): with covariance = L L' the rows L^-1 A have unit weight.
     """
-    parts = [(columns, block) for columns, block in parts if (columns >= 0).any()] or parts[:1]
     columns = np.hstack([columns for columns, _ in parts])
-    coefficient = np.concatenate([block for _, block in parts], axis=2)
-    if not len(residual):
-        return NO_EQUATIONS
-    coefficient, residual = root @ coefficient, np.einsum("nab,nb->na", root, residual)
-    used = columns >= 0
-    keep = np.repeat(used[:, None, :], 3, axis=1)
+    coefficient = root @ np.concatenate([block for _, block in parts], axis=2)
+    residual = np.einsum("nab,nb->na", root, residual)
+    return _in_rows(columns, np.concatenate([coefficient, residual[:, :, None]], axis=2))
+
+
+def _in_rows(columns: Integers, rows: Floats) -> Equations:
+    """Equations of unit weight from columns (n, k), and coefficients and residuals (n, 3, k + 1)."""
+    column = np.repeat(columns, 3, axis=0)
+    used = column >= 0
+    residual = rows[:, :, -1].ravel()
     return Equations(
-        np.concatenate([[0], np.cumsum(np.repeat(used.sum(axis=1), 3))]),
-        np.repeat(columns[:, None, :], 3, axis=1)[keep],
-        coefficient[keep],
-        residual.ravel(),
-        np.ones(residual.size),
+        np.concatenate([[0], np.cumsum(used.sum(axis=1))]),
+        column[used],
+        rows[:, :, :-1].reshape(column.shape)[used],
+        residual,
+        np.ones(len(residual)),
     )

@@ -6,6 +6,7 @@ from photocal.adjustment.equations import Equations
 from photocal.adjustment.lasers import laser_equations
 from photocal.adjustment.layout import Layout
 from photocal.adjustment.mounting import (
+    BORESIGHT,
     NO_EQUATIONS,
     attitude_equations,
     body_to_camera,
@@ -17,7 +18,7 @@ from photocal.adjustment.rig import rig_equations
 from photocal.adjustment.state import State, head_values, laser_values, turn_basis
 from photocal.base.arrays import Floats
 from photocal.geometry.camera import PARAMETERS
-from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
+from photocal.geometry.rotation import angles_from_matrix, left_jacobian, turn_per_angle
 
 
 def camera_equations(network: Network, layout: Layout, state: State) -> Equations:
@@ -150,14 +151,12 @@ def mounting_equations(network: Network, layout: Layout, state: State) -> dict[s
         result["head"] = common_equations(rig.values.ravel(), rig.sigma.ravel(), heads.ravel(), head_columns)
     if not mounted:
         return result
-    matrix = body_to_camera(mounting, state.common)
+    body = body_to_camera(mounting, state.common), left_jacobian(state.common[BORESIGHT])
     return result | {
         "position": position_equations(
-            network.positions, matrix, state.common, state.rotation, state.centre, columns, basis, common
+            network.positions, body, state.common, state.rotation, state.centre, columns, basis, common
         ),
-        "attitude": attitude_equations(
-            network.attitudes, matrix, state.common, state.rotation, columns, basis, common
-        ),
+        "attitude": attitude_equations(network.attitudes, body, state.rotation, columns, basis, common),
         "mounting": common_equations(
             mounting.values, mounting.sigma, state.common[:of_mounting], common[:of_mounting]
         ),

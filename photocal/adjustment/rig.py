@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.mounting import whitened
 from photocal.base.arrays import Flags, Floats, Integers
-from photocal.geometry.rotation import left_jacobian, skew, turned
+from photocal.geometry.rotation import inverse_left_jacobian, left_jacobian, skew, turned
 
 # What a head has: 3 turns (rad), 3 coordinates of its projection centre (m), 1 time (s).
 TURN, CENTRE, LATER = slice(0, 3), slice(3, 6), 6
@@ -136,7 +136,8 @@ def rig_equations(
     between = rotation[b] @ np.swapaxes(rotation[a], 1, 2)
     product = between @ onward @ to_head[p] @ np.swapaxes(to_head[q], 1, 2)
     residual = Rotation.from_matrix(product).as_rotvec() if len(a) else np.zeros((0, 3))
-    inverse_left, inverse_right = (np.linalg.inv(left_jacobian(sign * residual)) for sign in (1.0, -1.0))
+    inverse_left = inverse_left_jacobian(residual)
+    inverse_right = np.swapaxes(inverse_left, 1, 2)
     jacobian = left_jacobian(turn)
     turning = [
         (image_columns[a, :3], -inverse_left @ between @ basis[a]),

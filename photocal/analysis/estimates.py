@@ -92,20 +92,18 @@ def scaled(estimates: Estimates, variance_factor: float) -> Estimates:
     return Estimates(estimates.names, estimates.values, estimates.covariance * variance_factor)
 
 
-def without(estimates: Estimates, removed: Iterable[str]) -> tuple[Estimates, float]:
+def without(estimates: Estimates, removed: Iterable[str]) -> Estimates:
     """Take parameters out of the adjustment: hold them at zero, and let the others follow."""
     out = estimates.indices(removed)
     stay = [i for i in range(len(estimates.names)) if i not in out]
     S, x = estimates.covariance, estimates.values
-    gain = np.linalg.solve(
-        positive_definite(estimates.select([estimates.names[i] for i in out])), S[np.ix_(out, stay)]
-    )
-    remaining = Estimates(
+    of_removed = estimates.select([estimates.names[i] for i in out])
+    gain = np.linalg.solve(positive_definite(of_removed), S[np.ix_(out, stay)])
+    return Estimates(
         tuple(estimates.names[i] for i in stay),
         x[stay] - gain.T @ x[out],
         S[np.ix_(stay, stay)] - S[np.ix_(stay, out)] @ gain,
     )
-    return remaining, quadratic_form(estimates.select([estimates.names[i] for i in out]))
 
 
 def positive_definite(estimates: Estimates) -> Floats:
@@ -275,7 +273,7 @@ def propose_removal(estimates: Estimates) -> Proposal:
         known = bool(np.any(estimates.values))
         statistic = quadratic_form(current.select(leaving)) / len(leaving) if known else float("nan")
         steps.append(RemovalStep(components, negligible, crowd, leaving, statistic))
-        current, _ = without(current, leaving)
+        current = without(current, leaving)
 
 
 def _crowd(components: Components, negligible: int) -> tuple[str, ...]:

@@ -60,8 +60,8 @@ class WithoutParameter:
 def without_parameter(fit: AdjustedNetwork, camera: int, parameter: int) -> Near:
     """Find the minimum with a parameter at zero: near the one with it, or from anew."""
     interior, state = fit.network.cameras[camera], fit.state
-    # Left of each adjustment, see `minimise`: some 1e-3 standard deviations.
-    near = 1e-6
+    # Left of each adjustment, see `minimise`: a hundredth of a standard deviation at most.
+    near = 1e-4
     if interior.prior_correlation is None:
         active, columns = fit.factored.problem.layout.camera_columns[camera]
         column = int(columns[active == parameter][0])

@@ -113,7 +113,7 @@ def _effect(
 ) -> Effect:
     """Effect of parameters at pixels that have a ray, whose view and steps of the pose are known."""
     pixels, full, step = seen
-    remaining, _ = without(estimates, removed)
+    remaining = without(estimates, removed)
     followed = dict(zip(remaining.names, remaining.values.tolist(), strict=True))
     alone = left = (np.nan, np.nan)
     # Without these parameters there may be pixels without a ray, too.

@@ -12,6 +12,8 @@ from photocal.base.arrays import Floats
 NADIR = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 # East, north, up to north, east, down.
 TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+# The series of a turn this small, in radians, is its first term: the quotients would lose their digits.
+_TINY = 1e-4
 
 
 def matrix_from_angles(angles: Floats) -> Floats:
@@ -90,10 +92,11 @@ def turned(matrix: Floats, turn: Floats) -> Floats:
 
 def skew(vector: Floats) -> Floats:
     """Cross product matrices of vectors (..., 3), shape (..., 3, 3)."""
-    x, y, z = vector.T
-    zero = np.zeros_like(x)
-    # Turned over as a whole, so that the axes of the vectors come first again.
-    return np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]]).T
+    x, y, z = np.moveaxis(vector, -1, 0)
+    matrix = np.zeros((*vector.shape, 3))
+    matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0] = x, y, z
+    matrix[..., 1, 2], matrix[..., 2, 0], matrix[..., 0, 1] = -x, -y, -z
+    return matrix
 
 
 def left_jacobian(turn: Floats) -> Floats:
@@ -101,11 +104,27 @@ def left_jacobian(turn: Floats) -> Floats:
 
     J = I + (1 - cos a)/a^2 [t]x + (a - sin a)/a^3 [t]x^2 (Chirikjian 2012, eq. 10.86).
     """
-    angle = np.linalg.norm(turn, axis=-1)[..., None, None]
+    angle, safe = _lengths(turn)
     cross = skew(turn)
-    safe = np.where(angle > 1e-6, angle, 1.0)
-    second = np.where(angle > 1e-6, (safe - np.sin(safe)) / safe**3, 1.0 / 6.0)
-    return np.asarray(np.eye(3) + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * cross + second * cross @ cross)
+    second = np.where(angle > _TINY, (safe - np.sin(safe)) / safe**3, 1.0 / 6.0)
+    return np.asarray(np.eye(3) + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * cross + second * (cross @ cross))
+
+
+def inverse_left_jacobian(turn: Floats) -> Floats:
+    """Inverse of `left_jacobian` for turns of less than 2 pi, shape (..., 3, 3).
+
+    I - [t]x / 2 + (1 - (a/2) cot(a/2))/a^2 [t]x^2 (Chirikjian 2012, eq. 10.86).
+    """
+    angle, safe = _lengths(turn)
+    cross = skew(turn)
+    second = np.where(angle > _TINY, (1.0 - 0.5 * safe / np.tan(0.5 * safe)) / safe**2, 1.0 / 12.0)
+    return np.asarray(np.eye(3) - 0.5 * cross + second * (cross @ cross))
+
+
+def _lengths(turn: Floats) -> tuple[Floats, Floats]:
+    """Angles of turns, (..., 1, 1), and the same with one radian in place of those that are hardly any."""
+    angle = np.sqrt(np.sum(turn**2, axis=-1))[..., None, None]
+    return angle, np.where(angle > _TINY, angle, 1.0)
 
 
 def object_to_body(angles: Floats) -> tuple[Floats, Floats]:

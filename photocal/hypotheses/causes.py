@@ -1,7 +1,8 @@
 """What of the table may be wrong with one network: each cause with its unknowns in the system of all."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,6 @@ from photocal.adjustment.groups import Member, member_tests
 from photocal.adjustment.mounting import COMMON, SHIFT, STRIPS, Mounting
 from photocal.adjustment.network import Network
 from photocal.base.arrays import Floats, Integers
-from photocal.base.errors import IllPosedError
 from photocal.base.policy import policy
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.hypotheses.bent_rays import bent_rays
@@ -150,20 +150,30 @@ class Candidates:
             if abs(amount) > trace * one
         }
 
-    def determined(self, cause: Cause) -> bool:
-        """Whether what a cause adds is something beside all other unknowns, and may be large enough."""
-        if cause.field is None and cause.trend is None:
-            return True
-        here = self.stated((cause,))
-        added = (*self.beside, *cause.added)
+    def determined(self, causes: Sequence[Cause]) -> tuple[Cause, ...]:
+        """Choose the causes whose unknown is something beside all others, and may be large enough."""
+        alike = defaultdict[tuple[object, ...], list[Cause]](list)
+        for cause in causes:
+            if cause.field is not None or cause.trend is not None:
+                alike[(cause.fault.code, *cause.members) if cause.fault.frees else ()].append(cause)
+        hidden = {cause.key for some in alike.values() for cause in self._hidden(some)}
+        return tuple(cause for cause in causes if cause.key not in hidden)
+
+    def _hidden(self, causes: Sequence[Cause]) -> Iterator[Cause]:
+        """Those of some causes of one unknown each, which free the same of what is shared, that are not."""
+        added = [k for cause in causes for k in cause.added]
+        matrix, *_ = self.whole.equations(self.stated(causes[:1]), (*self.beside, *added))
+        others = len(matrix) - len(added)
+        across = matrix[:others, others:]
         try:
-            matrix, *_ = self.whole.equations(here, added)
-            left = 1.0 / np.diag(np.linalg.inv(matrix))[-len(cause.added) :]
-        except (IllPosedError, np.linalg.LinAlgError):
-            return False
-        most = np.inf if cause.field is None else cause.field.most
-        shown = left * most**2 >= _FOUND if np.isfinite(most) else True
-        return bool((left > LEFT * self.lengths[list(cause.added)]).all() and np.all(shown))
+            follow = np.linalg.solve(matrix[:others, :others], across)
+        except np.linalg.LinAlgError:
+            follow = np.full(across.shape, np.nan)
+        left = np.diag(matrix)[others:] - np.sum(across * follow, axis=0)
+        for cause, k, own in zip(causes, added, left, strict=True):
+            most = np.inf if cause.field is None else cause.field.most
+            if not (own > LEFT * self.lengths[k] and (np.isinf(most) or own * most**2 >= _FOUND)):
+                yield cause
 
 
 def candidates(
@@ -242,8 +252,7 @@ def candidates(
     given = observed(whole.shared, network.cameras, network.mounting)
     made = Candidates(adjusted, whole, given, (), fields, again, members, lengths)
     taken = set(beside)
-    kept = tuple(cause for cause in listed if cause.key not in taken and made.determined(cause))
-    return replace(made, causes=kept)
+    return replace(made, causes=made.determined([cause for cause in listed if cause.key not in taken]))
 
 
 def subject_of(network: Network, field: RayField) -> str:

@@ -67,14 +67,15 @@ class System:
             unknowns at the state.
         """
         there = self.there
+        shared = np.flatnonzero(here.unknown)
         extra = self.border + np.asarray(added, dtype=np.int64)
-        chosen = np.concatenate([np.flatnonzero(here.unknown), extra])
-        matrix, right = self.matrix.copy(), self.right.copy()
-        matrix[: self.border, : self.border] += here.weight - there.weight
-        right[: self.border] += there.pull - here.pull
+        chosen, own = np.concatenate([shared, extra]), slice(0, len(shared))
+        matrix, right = self.matrix[chosen[:, None], chosen], self.right[chosen]
+        matrix[own, own] += (here.weight - there.weight)[shared[:, None], shared]
+        right[own] += (there.pull - here.pull)[shared]
         return (
-            matrix[np.ix_(chosen, chosen)],
-            right[chosen],
+            matrix,
+            right,
             chosen,
             self.shared.chi_squared - there.chi_squared + here.chi_squared,
             self.shared.degrees_of_freedom + here.redundancy - there.redundancy - len(extra),

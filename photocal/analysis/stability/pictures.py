@@ -200,7 +200,7 @@ def without_term(camera: Camera, term: str) -> Camera:
     known = estimates_of(camera)
     if known is None or term not in known.names:
         return camera.changed(**{term: 0.0})
-    left, _ = without(known, (term,))
+    left = without(known, (term,))
     return camera.changed(**dict(zip(left.names, left.values.tolist(), strict=True)), **{term: 0.0})
 
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from photocal.adjustment.adjusted import fit
 from photocal.analysis.analyse_run import analyse_run
-from photocal.analysis.estimates import without
+from photocal.analysis.estimates import quadratic_form, without
 from photocal.analysis.left_out import Checks, left_out
 from photocal.analysis.outcome import Analysis
 from photocal.analysis.systematic_errors.search import camera_estimates
@@ -161,7 +161,8 @@ def test_left_out_is_adjusting_without_it(dcs460_block: Path) -> None:
     assert k3.check_rmse_m is not None
     moved = anew.points[[0, 5]] - network.points.values[[0, 5]]
     np.testing.assert_allclose(k3.check_rmse_m, np.sqrt(np.mean(moved**2, axis=0)), rtol=1e-4)
-    predicted, increase = without(camera_estimates(fitted, 0), ("K3",))
+    estimates = camera_estimates(fitted, 0)
+    predicted, increase = without(estimates, ("K3",)), quadratic_form(estimates.select(["K3"]))
     assert k3.c == pytest.approx(float(predicted.values[0]), abs=2e-4)
     assert k3.chi_squared - fitted.solution.chi_squared == pytest.approx(increase, rel=0.02)
 

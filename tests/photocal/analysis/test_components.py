@@ -103,7 +103,7 @@ def test_loadings_of_the_refined_matrix(tank: Callable[[str], Rows], refined: Es
 
 def dropped(r: Floats, columns: tuple[int, ...]) -> Floats:
     names = tuple(str(i) for i in range(len(r)))
-    kept, _ = without(known_only_by_correlation(names, r), [str(i) for i in columns])
+    kept = without(known_only_by_correlation(names, r), [str(i) for i in columns])
     return kept.correlation
 
 

@@ -177,10 +177,10 @@ def test_what_the_unknowns_take_up_cannot_be_tested() -> None:
     made = flight(flat=True)
     fitted = fit(noisy(made, 10))
     these, radial = radial_of(candidates(fitted))
-    assert these.determined(radial)
+    assert these.determined([radial])
     # A field of nothing has no length that anything could leave of it.
     nothing = replace(these, lengths=1e12 * these.lengths)
-    assert not nothing.determined(radial)
+    assert not nothing.determined([radial])
 
 
 def test_leaving_out_an_image_is_adjusting_without_it(networks: dict[str, Simulated]) -> None:

@@ -130,7 +130,7 @@ def test_without_agrees_with_an_adjustment_made_anew() -> None:
     x0 = np.array(np.linalg.lstsq(A, l)[0], dtype=np.float64)
     S = np.array(np.linalg.inv(A.T @ A), dtype=np.float64)
     full = Estimates(tuple("abcde"), x0, S)
-    kept, increase = without(full, ("b", "d"))
+    kept, increase = without(full, ("b", "d")), quadratic_form(full.select("bd"))
     B = A[:, [0, 2, 4]]
     x = np.linalg.lstsq(B, l)[0]
     assert kept.names == ("a", "c", "e")

@@ -12,7 +12,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, turn_per_angle, turned
+from photocal.geometry.rotation import (
+    angles_from_matrix,
+    inverse_left_jacobian,
+    left_jacobian,
+    matrix_from_angles,
+    turn_per_angle,
+    turned,
+)
 
 PUBLISHED = Path(__file__).parents[2] / "reference" / "dcs460" / "eo_initial_ori.csv"
 Floats = NDArray[np.float64]
@@ -94,3 +101,14 @@ def test_turn_per_angle_is_the_derivative(angles: Floats, which: int) -> None:
     change = matrix_from_angles(angles + step) @ matrix_from_angles(angles - step).T
     numerical = Rotation.from_matrix(change).as_rotvec() / 2e-6
     assert turn_per_angle(angles)[:, which] == pytest.approx(numerical, abs=1e-8)
+
+
+@given(triples, st.sampled_from([0.0, 1e-12, 1e-7, 1e-5, 1e-3, 1.0]))
+def test_left_jacobian_and_its_inverse(direction: Floats, size: float) -> None:
+    turn = size * direction
+    # Barfoot and Furgale (2014), eq. 98: the mean of the rotations by a part of the turn, by quadrature.
+    place, weight = np.polynomial.legendre.leggauss(24)
+    parts = Rotation.from_rotvec(np.outer((place + 1.0) / 2.0, turn)).as_matrix()
+    jacobian = np.tensordot(weight / 2.0, parts, axes=1)
+    assert left_jacobian(turn) == pytest.approx(jacobian, abs=1e-13)
+    assert inverse_left_jacobian(turn) @ jacobian == pytest.approx(np.eye(3), abs=1e-12)
