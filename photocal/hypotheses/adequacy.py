@@ -79,9 +79,10 @@ def _pattern(adjusted: AdjustedNetwork) -> tuple[float, float]:
         network.exposures.camera[image]
     ]
     place = np.clip(((network.rays.plane[used] / size + 0.5) * _CELLS).astype(np.int64), 0, _CELLS - 1)
-    _, cell = np.unique(image * _CELLS**2 + place[:, 0] * _CELLS + place[:, 1], return_inverse=True)
+    cell = image * _CELLS**2 + place[:, 0] * _CELLS + place[:, 1]
     count = np.bincount(cell)
-    sums = np.column_stack([np.bincount(cell, w[:, a]) for a in (0, 1)])
+    seen = count > 0
+    count, sums = count[seen], np.column_stack([np.bincount(cell, w[:, a])[seen] for a in (0, 1)])
     between, total = float(np.sum(sums**2 / count[:, None])), float(np.sum(w**2))
     cells, rays = 2.0 * len(count), float(w.size)
     if rays - cells < cells / 2:

@@ -101,7 +101,8 @@ def result_of(
     )
     seen = block.observations
     observed = np.bincount(seen.point, minlength=len(block.points.names)) > 0
-    rejected = np.setdiff1d(np.arange(len(seen.image)), assembly.rays)
+    left_out = np.ones(len(seen.image), dtype=np.bool_)
+    left_out[assembly.rays] = False
     return Result(
         software=Software("photocal", __version__),
         block=BlockFacts(
@@ -136,7 +137,7 @@ def result_of(
         readouts=assembly.readouts,
         rejected=tuple(
             RejectedRay(block.images.names[seen.image[row]], block.points.names[seen.point[row]])
-            for row in rejected
+            for row in np.flatnonzero(left_out)
         ),
         unobserved=tuple(block.points.names[j] for j in np.flatnonzero(~observed)),
         repetition=block.repetition,
