@@ -14,7 +14,7 @@ from photocal.adjustment.network import Network
 from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.solution import Group
 from photocal.adjustment.state import State
-from photocal.base.arrays import Floats
+from photocal.base.arrays import Floats, Integers
 from photocal.base.policy import policy
 
 # Less of a column than this, beside the exterior orientation, is not determined.
@@ -202,14 +202,15 @@ def _own_geometry(plane: Floats) -> Floats:
 
 def screened_shifts(fit: AdjustedNetwork, variance_factor: float) -> tuple[ImageShift, ...]:
     """Test the residuals of each image for a scale and a principal point of its own."""
-    network, state = fit.network, fit.state
-    rays = network.rays
+    network, rays = fit.network, fit.network.rays
     images, shown = len(network.image_names), np.bincount(rays.image, minlength=len(network.image_names))
     order = np.argsort(rays.image, kind="stable")
     ends = np.cumsum(shown)
-    columns = np.concatenate([pose_derivatives(fit, state), _own_geometry(fit.computed)], axis=2)[order]
-    weighted = (columns / rays.sigma[order][:, :, None]).reshape(-1, 9)
-    residual = (fit.solution.residuals / rays.sigma)[order].ravel()
+    columns, sigma = np.empty((len(order), 2, 9)), rays.sigma[order]
+    _pose_derivatives(network, fit.state, order, columns[:, :, :6])
+    columns[:, :, 6:] = _own_geometry(fit.computed[order])
+    weighted = (columns / sigma[:, :, None]).reshape(-1, 9)
+    residual = (fit.solution.residuals[order] / sigma).ravel()
     tested = np.flatnonzero(2 * shown >= policy.fewest_coordinates_of_image)
     if not len(tested):
         return ()
@@ -236,27 +237,25 @@ def screened_shifts(fit: AdjustedNetwork, variance_factor: float) -> tuple[Image
     for k in np.flatnonzero(number).tolist():
         i = int(tested[k])
         pitch = np.array(network.cameras[network.exposures.camera[i]].pitch)
-        moved = columns[ends[i] - shown[i] : ends[i]] @ change[k] / pitch
+        moved = (columns[ends[i] - shown[i] : ends[i]].reshape(-1, 9) @ change[k]).reshape(-1, 2) / pitch
         effect = float(np.linalg.norm(moved, axis=1).max())
         scale, shift = float(change[k, 6]), change[k, 7:] / pitch
         shifts.append(ImageShift(network.image_names[i], scale, shift, effect, float(p_value[k])))
     return tuple(shifts)
 
 
-def pose_derivatives(fit: AdjustedNetwork, state: State) -> Floats:
-    """Change of the ideal image coordinates with the exterior orientation of their image."""
-    image = fit.network.rays.image
-    c = state.cameras[fit.network.exposures.camera[image], :1]
-    apart = state.points[fit.network.rays.point] - state.centre[image]
-    q = np.einsum("nij,nj->ni", state.rotation[image], apart)
-    scale, along = -c[:, 0] / q[:, 2], c * q[:, :2] / q[:, 2:] ** 2
-    columns, axes = np.zeros((len(q), 2, 6)), state.rotation[image]
-    for k, other in ((0, 1), (1, 0)):
+def _pose_derivatives(network: Network, state: State, rays: Integers, columns: Floats) -> None:
+    """Fill in (n, 2, 6), by how much ideal coordinates of some rays change with the pose of their images."""
+    image = network.rays.image[rays]
+    c = state.cameras[network.exposures.camera[image], 0]
+    axes = state.rotation[image]
+    apart = state.points[network.rays.point[rays]] - state.centre[image]
+    x, y, z = np.einsum("nij,nj->in", axes, apart)
+    scale = -c / z
+    for k, (here, other) in enumerate(((x, y), (y, x))):
+        along, sign = -scale * here / z, 1.0 - 2.0 * k
         # A small turn t moves q by t x q.
-        turned = columns[:, k, :3]
-        turned[:] = along[:, k, None] * np.column_stack([q[:, 1], -q[:, 0], np.zeros(len(q))])
-        sign = 1.0 - 2.0 * k
-        turned[:, other] += sign * scale * q[:, 2]
-        turned[:, 2] -= sign * scale * q[:, other]
-        columns[:, k, 3:] = -scale[:, None] * axes[:, k] - along[:, k, None] * axes[:, 2]
-    return columns
+        columns[:, k, k] = along * (y if k == 0 else -x)
+        columns[:, k, 1 - k] = along * (-x if k == 0 else y) + sign * scale * z
+        columns[:, k, 2] = -sign * scale * other
+        columns[:, k, 3:] = -scale[:, None] * axes[:, k] - along[:, None] * axes[:, 2]
