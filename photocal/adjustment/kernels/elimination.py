@@ -40,6 +40,7 @@ class Rows(NamedTuple):
     lens (rays, 2, 1 + lens): the residual, then the columns of the cameras.
     mixed, less (3, 1 + lens): the normal matrix between the point and these; by how much the point follows.
     free (2, 1 + lens): what of one ray's rows is then left.
+    related (3, n): the normal matrix between the point and one ray's image.
     """
 
     ray: Scratch
@@ -50,6 +51,7 @@ class Rows(NamedTuple):
     mixed: Floats
     less: Floats
     free: Floats
+    related: Floats
 
 
 def most_rays(design: Design) -> int:
@@ -70,7 +72,7 @@ def fetch_point(design: Design, values: Values, kept: Eliminated, j: int) -> Non
     for line in range(0, 16, 8):
         fetch(design.prior_weight, 9 * j + line)
         fetch(kept.inverse, 9 * j + line)
-    for r in range(begin, end, 4):
+    for r in range(begin, end + 3, 4):
         fetch(design.plane, 2 * r)
         fetch(design.weight, 2 * r)
         fetch(design.ray_image, r)
@@ -124,33 +126,28 @@ def put_ray(
 
 
 @inlined
-def with_three(total: Any, first: float, second: float, third: float, a: Any, b: Any, c: Any) -> Any:
-    """Add three times eight numbers, each times a factor."""
-    return plus(plus(plus(total, first, a), second, b), third, c)
+def with_three(total: Any, sign: float, matrix: Floats, n: int, row: int, u: Any, v: Any, w: Any) -> Any:
+    """Add or subtract three times eight numbers, each times an element of a row of the nth matrix."""
+    total = plus(total, sign * matrix[n, row, 0], u)
+    return plus(plus(total, sign * matrix[n, row, 1], v), sign * matrix[n, row, 2], w)
 
 
 @inlined
-def relate(design: Design, structure: Structure, j: int, rows: Rows, kept: Eliminated) -> None:
-    """Add up the normal equations of a point, and what relates it to all that its rays touch."""
-    block, image, point, lens, mixed = rows.block, rows.image, rows.point, rows.lens, rows.mixed
-    begin, count, span = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j], mixed.shape[1]
+def relate(structure: Structure, j: int, count: int, rows: Rows, kept: Eliminated) -> None:
+    """Add up the normal equations of a point of so many rays, and what relates it to the cameras."""
+    block, point, lens, mixed = rows.block, rows.point, rows.lens, rows.mixed
+    span = mixed.shape[1]
     for n in range(count):
         for a in range(3):
-            px, py = point[n, 0, a], point[n, 1, a]
-            for b in range(3):
-                block[a, b] += px * point[n, 0, b] + py * point[n, 1, b]
-            for b in range(columns(design)):
-                kept.mixed[begin + n, a, b] = px * image[n, 0, b] + py * image[n, 1, b]
+            for b in range(a + 1):
+                block[a, b] += point[n, 0, a] * point[n, 0, b] + point[n, 1, a] * point[n, 1, b]
     for q in range(0, 1 + structure.lens, LANES):
         u, v, w = none(), none(), none()
-        for row in range(2 * count):
-            part = load(lens, span * row + q)
-            n, x = row // 2, row % 2
-            u, v, w = (
-                plus(u, point[n, x, 0], part),
-                plus(v, point[n, x, 1], part),
-                plus(w, point[n, x, 2], part),
-            )
+        for n in range(count):
+            x, y = load(lens, span * 2 * n + q), load(lens, span * (2 * n + 1) + q)
+            u = plus(plus(u, point[n, 0, 0], x), point[n, 1, 0], y)
+            v = plus(plus(v, point[n, 0, 1], x), point[n, 1, 1], y)
+            w = plus(plus(w, point[n, 0, 2], x), point[n, 1, 2], y)
         store(mixed, q, u)
         store(mixed, span + q, v)
         store(mixed, 2 * span + q, w)
@@ -171,21 +168,13 @@ def eliminate(
     normal equations: (A, C)' (C - B V^-1 B' C) and A' (1 - B V^-1 B') A. Where V^-1 is zero, all of it.
     """
     (base, strips, corner), inverse = sums, kept.inverse
-    image, point, lens, mixed, less, free = (
-        rows.image,
-        rows.point,
-        rows.lens,
-        rows.mixed,
-        rows.less,
-        rows.free,
-    )
+    _, _, point, image, lens, mixed, less, free, related = rows
     wide, tall, span, edge = columns(design), filled(columns(design)), mixed.shape[1], corner.shape[1]
     begin, count = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
     for q in range(0, 1 + structure.lens, LANES):
         u, v, w = load(mixed, q), load(mixed, span + q), load(mixed, 2 * span + q)
         for a in range(3):
-            part = with_three(none(), -inverse[j, a, 0], -inverse[j, a, 1], -inverse[j, a, 2], u, v, w)
-            store(less, span * a + q, part)
+            store(less, span * a + q, with_three(none(), -1.0, inverse, j, a, u, v, w))
     for n in range(count):
         i = design.ray_image[begin + n]
         k, column = design.image_lens[i], design.image_column[i]
@@ -193,12 +182,13 @@ def eliminate(
             u, v, w = load(less, q), load(less, span + q), load(less, 2 * span + q)
             for x in range(2):
                 part = load(lens, span * (2 * n + x) + q)
-                part = with_three(part, point[n, x, 0], point[n, x, 1], point[n, x, 2], u, v, w)
-                store(free, span * x + q, part)
-        for s in range(1 + design.active_column[k], 1 + design.active_column[k] + design.active_count[k]):
-            for q in range(0, s + 1, LANES):
-                part = plus(load(corner, edge * s + q), lens[n, 0, s], load(free, q))
-                store(corner, edge * s + q, plus(part, lens[n, 1, s], load(free, span + q)))
+                store(free, span * x + q, with_three(part, 1.0, point, n, x, u, v, w))
+        first, last = 1 + design.active_column[k], 1 + design.active_column[k] + design.active_count[k]
+        for q in range(0, last, LANES):
+            x, y = load(free, q), load(free, span + q)
+            for s in range(max(first, q), last):
+                part = plus(load(corner, edge * s + q), lens[n, 0, s], x)
+                store(corner, edge * s + q, plus(part, lens[n, 1, s], y))
         strip = column // wide
         top = tall * (base + structure.offset[strip])
         foot = top + tall * (structure.last[strip] - column)
@@ -207,26 +197,30 @@ def eliminate(
             for s in range(1 + structure.lens):
                 part = plus(load(strips, foot + tall * s + q), free[0, s], x)
                 store(strips, foot + tall * s + q, plus(part, free[1, s], y))
-            # What relates the image to the point, and by how much that follows.
-            a, b, c = (
-                plus(plus(none(), point[n, 0, 0], x), point[n, 1, 0], y),
-                plus(plus(none(), point[n, 0, 1], x), point[n, 1, 1], y),
-                plus(plus(none(), point[n, 0, 2], x), point[n, 1, 2], y),
+            u = plus(plus(none(), point[n, 0, 0], x), point[n, 1, 0], y)
+            v = plus(plus(none(), point[n, 0, 1], x), point[n, 1, 1], y)
+            w = plus(plus(none(), point[n, 0, 2], x), point[n, 1, 2], y)
+            store(related, q, u)
+            store(related, tall + q, v)
+            store(related, 2 * tall + q, w)
+            u, v, w = (
+                with_three(none(), -1.0, inverse, j, 0, u, v, w),
+                with_three(none(), -1.0, inverse, j, 1, u, v, w),
+                with_three(none(), -1.0, inverse, j, 2, u, v, w),
             )
-            u = with_three(none(), -inverse[j, 0, 0], -inverse[j, 0, 1], -inverse[j, 0, 2], a, b, c)
-            v = with_three(none(), -inverse[j, 1, 0], -inverse[j, 1, 1], -inverse[j, 1, 2], a, b, c)
-            w = with_three(none(), -inverse[j, 2, 0], -inverse[j, 2, 1], -inverse[j, 2, 2], a, b, c)
             for m in range(count):
-                below = design.image_column[design.ray_image[begin + m]] - column
-                if below < 0:
+                to = top + tall * (design.image_column[design.ray_image[begin + m]] - column) + q
+                if to < top:
                     continue
-                of_x, of_y = (x, y) if m == n else (none(), none())
-                of_x = with_three(of_x, point[m, 0, 0], point[m, 0, 1], point[m, 0, 2], u, v, w)
-                of_y = with_three(of_y, point[m, 1, 0], point[m, 1, 1], point[m, 1, 2], u, v, w)
+                own = 1.0 if m == n else 0.0
+                of_x = with_three(plus(none(), own, x), 1.0, point, m, 0, u, v, w)
+                of_y = with_three(plus(none(), own, y), 1.0, point, m, 1, u, v, w)
                 for s in range(wide):
-                    to = top + tall * (below + s) + q
-                    part = plus(load(strips, to), image[m, 0, s], of_x)
-                    store(strips, to, plus(part, image[m, 1, s], of_y))
+                    part = plus(load(strips, to + tall * s), image[m, 0, s], of_x)
+                    store(strips, to + tall * s, plus(part, image[m, 1, s], of_y))
+        for a in range(3):
+            for b in range(wide):
+                kept.mixed[begin + n, a, b] = related[a, b]
 
 
 @inlined
@@ -248,8 +242,6 @@ def retain(
             foot = base + structure.offset[column // width] + structure.last[column // width] - column
             for b in range(width):
                 strips[foot + at + a, b] += kept.mixed[r, a, b]
-        for b in range(3):
-            kept.inverse[j, a, b] = 0.0
 
 
 @compiled
@@ -277,15 +269,16 @@ def accumulate_piece(
             if not rows.ray.depth[0] > 0.0:
                 total = np.inf
             put_ray(design, structure, r, r - first, (vx, vy), rows)
-        relate(design, structure, j, rows, kept)
-        kept.singular[j] = False
-        if design.point_column[j] >= 0:
-            retain(design, structure, j, block, sums, kept)
-        else:
-            for a in range(3):
-                block[a, a] *= 1.0 + damping
-            kept.singular[j] = not inverse3(block, kept.inverse, j)
+        relate(structure, j, design.ray_start[j + 1] - first, rows, kept)
+        eliminated = design.point_column[j] < 0
+        for a in range(3):
+            block[a, a] *= 1.0 + damping if eliminated else 1.0
+            for b in range(3):
+                kept.inverse[j, a, b] = 0.0
+        kept.singular[j] = eliminated and not inverse3(block, kept.inverse, j)
         eliminate(design, structure, j, sums, kept, rows)
+        if not eliminated:
+            retain(design, structure, j, block, sums, kept)
     return total
 
 
@@ -307,7 +300,15 @@ def accumulate(
 
     def work(piece: int) -> None:
         """One piece of the rays, or one share of the strips: they run side by side."""
-        shapes = (3, 3), (rays, 2, 3), (rays, 2, wide), (rays, 2, lens), (3, lens), (3, lens), (2, lens)
+        shapes = (
+            (3, 3),
+            (rays, 2, 3),
+            (rays, 2, wide),
+            (rays, 2, lens),
+            *[(3, lens)] * 2,
+            (2, lens),
+            (3, wide),
+        )
         rows = Rows(scratch(width(design)), *map(np.zeros, shapes))
         totals[piece] = accumulate_piece(design, values, structure, damping, piece, parts[piece], kept, rows)
 
