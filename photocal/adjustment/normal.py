@@ -7,7 +7,7 @@ import numpy as np
 
 from photocal.adjustment import observations
 from photocal.adjustment.equations import Equations, add_equations
-from photocal.adjustment.kernels.data import WIDTHS, Design, Eliminated, Values
+from photocal.adjustment.kernels.data import WIDTHS, Design, Eliminated, Reduced, Values
 from photocal.adjustment.kernels.elimination import Contribution, accumulate, join
 from photocal.adjustment.kernels.lanes import padded
 from photocal.adjustment.layout import Layout, layout
@@ -204,7 +204,7 @@ def add_rays(
     parts = [Contribution(int(base), room, corner) for base, corner in zip(bases, corners, strict=True)]
     total = accumulate(design, values, strips, damping, parts, kept)
     gradient = np.zeros(problem.layout.size)
-    join(design, strips, structure, start, room, matrix, gradient)
+    join(design, strips, Reduced(structure, matrix, gradient), start, room)
     corner = corners.sum(axis=0)[1:]
     gradient[structure.band :] = corner[:, 0]
     matrix[structure.offset[-2] :] += corner[:, 1 : 1 + structure.border].ravel()

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns, width
+from photocal.adjustment.kernels.data import Design, Eliminated, Reduced, Structure, Values, columns, width
 from photocal.adjustment.kernels.lanes import LANES, filled, load, none, padded, plus, store
 from photocal.adjustment.kernels.ray import corner_of, inverse3, ray_rows
 from photocal.base.arrays import Floats, Integers
@@ -31,16 +31,14 @@ class Contribution(NamedTuple):
 class Rows(NamedTuple):
     """Rows of the design matrix that belong to one point's rays, in units of their sigmas, and room for more.
 
-    Each begins with whole lanes:
-
     ray: derivatives of one ray.
     block (3, 3): normal equations of the point itself.
     point (rays, 2, 3): columns of the point.
-    image (rays, 2, n): those of each ray's own image.
+    image (rays, 2, n): those of each ray's own image, in whole lanes, as all that follows.
     lens (rays, 2, 1 + lens): the residual, then the columns of the cameras.
-    mixed, less (3, 1 + lens): the normal matrix between the point and these; by how much the point follows.
+    mixed, less (3, 1 + lens): normal matrix between the point and these; by how much it follows them.
     free (2, 1 + lens): what of one ray's rows is then left.
-    related (3, n): the normal matrix between the point and one ray's image.
+    near (3, n): normal matrix between the point and one ray's image.
     """
 
     ray: Scratch
@@ -51,7 +49,7 @@ class Rows(NamedTuple):
     mixed: Floats
     less: Floats
     free: Floats
-    related: Floats
+    near: Floats
 
 
 def most_rays(design: Design) -> int:
@@ -126,10 +124,16 @@ def put_ray(
 
 
 @inlined
-def with_three(total: Any, sign: float, matrix: Floats, n: int, row: int, u: Any, v: Any, w: Any) -> Any:
-    """Add or subtract three times eight numbers, each times an element of a row of the nth matrix."""
-    total = plus(total, sign * matrix[n, row, 0], u)
-    return plus(plus(total, sign * matrix[n, row, 1], v), sign * matrix[n, row, 2], w)
+def across(total: Any, point: Floats, n: int, a: int, x: Any, y: Any) -> Any:
+    """Add what relates a coordinate of the point to columns whose two rows of its nth ray are given."""
+    return plus(plus(total, point[n, 0, a], x), point[n, 1, a], y)
+
+
+@inlined
+def along(total: Any, sign: float, matrix: Floats, n: int, a: int, u: Any, v: Any, w: Any) -> Any:
+    """Add or subtract rows u, v, w, each times its element in row a of the nth matrix."""
+    total = plus(plus(total, sign * matrix[n, a, 0], u), sign * matrix[n, a, 1], v)
+    return plus(total, sign * matrix[n, a, 2], w)
 
 
 @inlined
@@ -145,9 +149,7 @@ def relate(structure: Structure, j: int, count: int, rows: Rows, kept: Eliminate
         u, v, w = none(), none(), none()
         for n in range(count):
             x, y = load(lens, span * 2 * n + q), load(lens, span * (2 * n + 1) + q)
-            u = plus(plus(u, point[n, 0, 0], x), point[n, 1, 0], y)
-            v = plus(plus(v, point[n, 0, 1], x), point[n, 1, 1], y)
-            w = plus(plus(w, point[n, 0, 2], x), point[n, 1, 2], y)
+            u, v, w = across(u, point, n, 0, x, y), across(v, point, n, 1, x, y), across(w, point, n, 2, x, y)
         store(mixed, q, u)
         store(mixed, span + q, v)
         store(mixed, 2 * span + q, w)
@@ -168,13 +170,13 @@ def eliminate(
     normal equations: (A, C)' (C - B V^-1 B' C) and A' (1 - B V^-1 B') A. Where V^-1 is zero, all of it.
     """
     (base, strips, corner), inverse = sums, kept.inverse
-    _, _, point, image, lens, mixed, less, free, related = rows
+    _, _, point, image, lens, mixed, less, free, near = rows
     wide, tall, span, edge = columns(design), filled(columns(design)), mixed.shape[1], corner.shape[1]
     begin, count = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
     for q in range(0, 1 + structure.lens, LANES):
         u, v, w = load(mixed, q), load(mixed, span + q), load(mixed, 2 * span + q)
         for a in range(3):
-            store(less, span * a + q, with_three(none(), -1.0, inverse, j, a, u, v, w))
+            store(less, span * a + q, along(none(), -1.0, inverse, j, a, u, v, w))
     for n in range(count):
         i = design.ray_image[begin + n]
         k, column = design.image_lens[i], design.image_column[i]
@@ -182,8 +184,9 @@ def eliminate(
             u, v, w = load(less, q), load(less, span + q), load(less, 2 * span + q)
             for x in range(2):
                 part = load(lens, span * (2 * n + x) + q)
-                store(free, span * x + q, with_three(part, 1.0, point, n, x, u, v, w))
-        first, last = 1 + design.active_column[k], 1 + design.active_column[k] + design.active_count[k]
+                store(free, span * x + q, along(part, 1.0, point, n, x, u, v, w))
+        first = 1 + design.active_column[k]
+        last = first + design.active_count[k]
         for q in range(0, last, LANES):
             x, y = load(free, q), load(free, span + q)
             for s in range(max(first, q), last):
@@ -197,30 +200,27 @@ def eliminate(
             for s in range(1 + structure.lens):
                 part = plus(load(strips, foot + tall * s + q), free[0, s], x)
                 store(strips, foot + tall * s + q, plus(part, free[1, s], y))
-            u = plus(plus(none(), point[n, 0, 0], x), point[n, 1, 0], y)
-            v = plus(plus(none(), point[n, 0, 1], x), point[n, 1, 1], y)
-            w = plus(plus(none(), point[n, 0, 2], x), point[n, 1, 2], y)
-            store(related, q, u)
-            store(related, tall + q, v)
-            store(related, 2 * tall + q, w)
-            u, v, w = (
-                with_three(none(), -1.0, inverse, j, 0, u, v, w),
-                with_three(none(), -1.0, inverse, j, 1, u, v, w),
-                with_three(none(), -1.0, inverse, j, 2, u, v, w),
-            )
+            u, v, w = none(), none(), none()
+            u, v, w = across(u, point, n, 0, x, y), across(v, point, n, 1, x, y), across(w, point, n, 2, x, y)
+            store(near, q, u)
+            store(near, tall + q, v)
+            store(near, 2 * tall + q, w)
+            a = along(none(), -1.0, inverse, j, 0, u, v, w)
+            b = along(none(), -1.0, inverse, j, 1, u, v, w)
+            c = along(none(), -1.0, inverse, j, 2, u, v, w)
             for m in range(count):
                 to = top + tall * (design.image_column[design.ray_image[begin + m]] - column) + q
                 if to < top:
                     continue
                 own = 1.0 if m == n else 0.0
-                of_x = with_three(plus(none(), own, x), 1.0, point, m, 0, u, v, w)
-                of_y = with_three(plus(none(), own, y), 1.0, point, m, 1, u, v, w)
+                of_x = along(plus(none(), own, x), 1.0, point, m, 0, a, b, c)
+                of_y = along(plus(none(), own, y), 1.0, point, m, 1, a, b, c)
                 for s in range(wide):
                     part = plus(load(strips, to + tall * s), image[m, 0, s], of_x)
                     store(strips, to + tall * s, plus(part, image[m, 1, s], of_y))
-        for a in range(3):
-            for b in range(wide):
-                kept.mixed[begin + n, a, b] = related[a, b]
+        for s in range(wide):
+            for x in range(3):
+                kept.mixed[begin + n, x, s] = near[x, s]
 
 
 @inlined
@@ -270,14 +270,14 @@ def accumulate_piece(
                 total = np.inf
             put_ray(design, structure, r, r - first, (vx, vy), rows)
         relate(structure, j, design.ray_start[j + 1] - first, rows, kept)
-        eliminated = design.point_column[j] < 0
+        stays = design.point_column[j] >= 0
         for a in range(3):
-            block[a, a] *= 1.0 + damping if eliminated else 1.0
+            block[a, a] *= 1.0 if stays else 1.0 + damping
             for b in range(3):
                 kept.inverse[j, a, b] = 0.0
-        kept.singular[j] = eliminated and not inverse3(block, kept.inverse, j)
+        kept.singular[j] = not stays and not inverse3(block, kept.inverse, j)
         eliminate(design, structure, j, sums, kept, rows)
-        if not eliminated:
+        if stays:
             retain(design, structure, j, block, sums, kept)
     return total
 
@@ -300,7 +300,7 @@ def accumulate(
 
     def work(piece: int) -> None:
         """One piece of the rays, or one share of the strips: they run side by side."""
-        shapes = (
+        shapes = [
             (3, 3),
             (rays, 2, 3),
             (rays, 2, wide),
@@ -308,7 +308,7 @@ def accumulate(
             *[(3, lens)] * 2,
             (2, lens),
             (3, wide),
-        )
+        ]
         rows = Rows(scratch(width(design)), *map(np.zeros, shapes))
         totals[piece] = accumulate_piece(design, values, structure, damping, piece, parts[piece], kept, rows)
 
@@ -318,17 +318,10 @@ def accumulate(
 
 @compiled
 def join_strips(
-    design: Design,
-    strips: Structure,
-    structure: Structure,
-    start: Integers,
-    pieces: Floats,
-    begin: int,
-    end: int,
-    matrix: Floats,
-    gradient: Floats,
+    design: Design, strips: Structure, reduced: Reduced, start: Integers, pieces: Floats, begin: int, end: int
 ) -> None:
     """Add what the pieces have given to the columns of some images, see `join`."""
+    structure, matrix, gradient = reduced
     wide, border = columns(design), structure.border
     for strip in range(begin, end):
         column, rows = strip * wide, strips.last[strip] - strip * wide
@@ -337,25 +330,18 @@ def join_strips(
             if strip < design.reach[piece, 0] or strip >= design.reach[piece, 1]:
                 continue
             at = start[piece] - strips.offset[design.reach[piece, 0]] + strips.offset[strip]
-            for b in range(wide):
-                gradient[column + b] += pieces[at + rows, b]
-            for row in range(rows + border):
-                to = corner + row * step if row < rows else foot + (row - rows) * step
-                given = at + row if row < rows else at + row + 1
+            for row in range(rows):
                 for b in range(wide):
-                    matrix[to + b] += pieces[given, b]
+                    matrix[corner + row * step + b] += pieces[at + row, b]
+            at += rows
+            for b in range(wide):
+                gradient[column + b] += pieces[at, b]
+                for row in range(border):
+                    matrix[foot + row * step + b] += pieces[at + 1 + row, b]
 
 
-def join(
-    design: Design,
-    strips: Structure,
-    structure: Structure,
-    start: Integers,
-    pieces: Floats,
-    matrix: Floats,
-    gradient: Floats,
-) -> None:
-    """Add what the pieces have given to the images, in their order, to the reduced matrix and to A'Pv.
+def join(design: Design, strips: Structure, reduced: Reduced, start: Integers, pieces: Floats) -> None:
+    """Add what the pieces have given to the images, in their order, to the reduced normal equations.
 
     strips: structure of the pieces' values: a panel for each image.
     """
@@ -363,7 +349,6 @@ def join(
 
     def work(share: int) -> None:
         """One piece of the rays, or one share of the strips: they run side by side."""
-        begin, end = shares[share : share + 2]
-        join_strips(design, strips, structure, start, pieces, begin, end, matrix, gradient)
+        join_strips(design, strips, reduced, start, pieces, shares[share], shares[share + 1])
 
     each_piece(len(shares) - 1, work)
