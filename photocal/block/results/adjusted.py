@@ -181,7 +181,7 @@ def network_of(block: Block, result: Result) -> NetworkOfBlock:
     """Make the network that a result ended with: without what was rejected, with the estimated sigmas."""
     lag = {head.camera: head.lag for head in result.heads}
     heads = tuple(replace(head, lag=lag.get(head.camera)) for head in block.heads)
-    assembly = assemble(replace(block, heads=heads))
+    assembly = assemble(_started(replace(block, heads=heads), result))
     if result.rejected:
         refused = {(ray.image, ray.point) for ray in result.rejected}
         image, point = block.images.names, block.points.names
@@ -200,6 +200,21 @@ def network_of(block: Block, result: Result) -> NetworkOfBlock:
     factors = {part.name: part.factor for part in result.variance_components}
     network = with_factors(assembly.network, rays_by_camera(assembly.network), factors)
     return replace(assembly, network=network)
+
+
+def _started(block: Block, result: Result) -> Block:
+    """The block, its result in place of start values that it lacks; those of a free one make its datum."""
+    if block.datum == "free":
+        return block
+    place = {name: k for k, name in enumerate(block.points.names)}
+    found = np.full(block.points.values.shape, np.nan)
+    found[[place[name] for name in result.points.names]] = result.points.values
+    poses, points = block.images.values, block.points.values
+    return replace(
+        block,
+        images=replace(block.images, values=np.where(np.isnan(poses), result.images.values, poses)),
+        points=replace(block.points, values=np.where(np.isnan(points), found, points)),
+    )
 
 
 def _part(

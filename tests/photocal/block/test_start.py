@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import photocal
 from photocal.base.errors import IllPosedError, InputMalformedError
 from photocal.block.folder import read_block
 from photocal.block.model import Block
@@ -45,6 +46,24 @@ def test_same_minimum_without_orientation(images: frozenset[str], tmp_path: Path
     # Case A of the study, computed by others.
     assert result["chi_squared"] == pytest.approx(764.07, abs=0.01)
     assert result["cameras"]["dcs460"]["parameters"]["c"]["value"] == pytest.approx(20.5004666, abs=1e-5)
+
+
+def test_an_adjusted_block_needs_no_start_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Analysed with its result, a block without orientation is what it is with one."""
+    block = read_block(without_orientation(tmp_path / "block", ALL))
+    result = photocal.adjust(block)
+
+    def refused(*_: object, **__: object) -> None:
+        raise AssertionError("start values were sought")
+
+    monkeypatch.setattr("photocal.adjustment.start.values.start_values", refused)
+    (found,) = photocal.analyse(block, result).cameras.values()
+    (given,) = photocal.analyse(read_block(DEMO)).cameras.values()
+    assert found is not None
+    assert given is not None
+    for one, other in zip(found.significance, given.significance, strict=True):
+        assert (one.kind, one.parameters) == (other.kind, other.parameters)
+        assert one.statistic == pytest.approx(other.statistic, rel=1e-6)
 
 
 def test_control_that_is_known_in_some_coordinates_only(tmp_path: Path) -> None:
