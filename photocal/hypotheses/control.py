@@ -15,7 +15,7 @@ from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import PhotocalError
 from photocal.base.policy import policy
 from photocal.geometry.distortion import slopes_of
@@ -34,7 +34,7 @@ _ALL_AXES = (0, 1, 2)
 _WRONG: tuple[tuple[int, ...], ...] = ((2,), (0, 1), _ALL_AXES)
 # Factors by which the sigmas of a survey may be too small.
 _FACTORS = np.geomspace(1.2, 60.0, 24)
-# Random errors that are drawn to see how often a slip fits by chance.
+# Random errors that are drawn to see how often a slip fits by chance, and how often it may.
 DRAWS, SLIP_BY_CHANCE = 300, 0.05
 
 
@@ -386,14 +386,18 @@ def slips(given: Floats, wanted: Floats, sigma: Floats, system: str) -> tuple[st
     told, away = _fitting(given, wanted, tolerance, sigma)
     if not told:
         return ()
-    rng = np.random.default_rng(1)
     as_close = np.minimum(max(away, 1.0), policy.slip_sigmas) * sigma
     error = wanted - given
-    wrong = np.abs(error) > tolerance
-    size = np.exp(rng.uniform(-0.7, 0.7, (DRAWS, 3))) * np.abs(error) * rng.choice([-1.0, 1.0], (DRAWS, 3))
-    drawn = given + np.where(wrong, size, 0.0)
+    drawn = given + random_errors(error, np.abs(error) > tolerance)
     chance = np.mean([bool(_fitting(given, other, as_close, sigma, tolerance)[0]) for other in drawn])
     return told if chance < SLIP_BY_CHANCE else ()
+
+
+def random_errors(error: Floats, wrong: Flags) -> Floats:
+    """Draw errors about as large as one of three axes, half to twice, with either sign, where it is wrong."""
+    rng = np.random.default_rng(1)
+    size = np.exp(rng.uniform(-0.7, 0.7, (DRAWS, 3))) * np.abs(error) * rng.choice([-1.0, 1.0], (DRAWS, 3))
+    return np.where(wrong, size, 0.0)
 
 
 def _fitting(
