@@ -150,6 +150,35 @@ class Candidates:
             if abs(amount) > trace * one
         }
 
+    def of_control(self) -> tuple[float, int]:
+        """What v'Pv falls by where each control point has an error of its own, and by how many of them.
+
+        What all points have in common is no contradiction among them.
+        """
+        points = [cause for cause in self.causes if cause.fault.each == "point" and len(cause.members) == 1]
+        added = [k for cause in points for k in cause.added]
+        matrix, right, *_ = self.whole.equations(self.given, (*self.beside, *added))
+        count, at = len(added), slice(len(matrix) - len(added), None)
+        if not count:
+            return 0.0, 0
+        rest = slice(0, len(matrix) - count)
+        follow = np.linalg.solve(matrix[rest, rest], np.column_stack([matrix[rest, at], right[rest]]))
+        own = matrix[at, at] - matrix[at, rest] @ follow[:, :count]
+        scale = np.sqrt(self.lengths[added])
+        pull = (right[at] - matrix[at, rest] @ follow[:, count]) / scale
+        left, axes = np.linalg.eigh(own / np.outer(scale, scale))
+        kept = left > LEFT
+        root = np.sqrt(left[kept])
+        shifts = scale[:, None] * np.tile(np.eye(3), (len(points), 1))
+        common = root[:, None] * (axes.T[kept] @ (shifts / np.linalg.norm(shifts, axis=0)))
+        # Without positions a shift of all of them is free.
+        common = common[:, np.linalg.norm(common, axis=0) ** 2 > LEFT]
+        d = (axes.T[kept] @ pull) / root
+        shift, _, rank, _ = np.linalg.lstsq(common, d, rcond=None)
+        # Points that are not tested one by one contradict less.
+        others = 3 * (len(control_points(self.network)) - len(points))
+        return float(np.sum((d - common @ shift) ** 2)), int(kept.sum()) - int(rank) + others
+
     def determined(self, cause: Cause) -> bool:
         """Whether what a cause adds is something beside all other unknowns, and may be large enough."""
         if cause.field is None and cause.trend is None:

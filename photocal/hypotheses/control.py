@@ -64,6 +64,7 @@ class Contradiction:
     members: rows of the prediction; two of them for an exchange.
     exchanged: whether the two have changed places.
     as_scale: whether standard deviations of the survey that are wrong by a factor explain it as well.
+    instead: of each point, those that would explain it as well in its place.
     error (m, 3), sigma (m, 3): computed from the others less given, and its standard deviation, m.
     detectable (m, 3): error along an axis that would be found with 80 % power (Baarda 1968), m.
     choices: subsets of that kind that there are.
@@ -77,6 +78,7 @@ class Contradiction:
     detectable: Floats
     choices: int
     as_scale: bool = False
+    instead: tuple[tuple[int, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -188,19 +190,33 @@ def contradiction(seen: Predicted) -> Contradiction | WrongSigmas | None:
     pair = _exchange(seen)
     if pair is not None:
         return pair
-    removed, axes = contradicting(seen.d, seen.covariance, seen.common)
-    if not removed:
-        return None
-    likelier = _scale_beside_points(seen, removed, axes)
+    likeliest, rival = math.inf, None
+    # Where a factor explains more than the fewest points do, the likeliest points compete with it.
+    for chance in (policy.family_significance, 1.0):
+        removed, axes, as_good = contradicting(seen.d, seen.covariance, seen.common, chance)
+        if not removed:
+            continue
+        likelier = _scale_beside_points(seen, removed, axes)
+        found = _of_points(seen, removed, as_good)
+        if likelier <= 0.0:
+            # The more points are blamed, the more clearly each must be distinguished from a factor of all.
+            return replace(found, as_scale=-likelier <= policy.as_good * len(removed))
+        if likelier < likeliest:
+            likeliest, rival = likelier, found
+    return None if rival is None else WrongSigmas(rival if likeliest <= policy.as_good else None)
+
+
+def _of_points(
+    seen: Predicted, removed: tuple[int, ...], as_good: tuple[tuple[int, ...], ...]
+) -> Contradiction:
+    """Points that are wrong, each with those that would explain it as well in its place."""
     error, spread = zip(
         *(_beside_others(seen.d, seen.covariance, seen.common, removed, k) for k in removed), strict=True
     )
     sigma = np.sqrt(np.diagonal(np.array(spread), axis1=1, axis2=2))
-    found = _contradiction(seen, removed, np.array(error), sigma)
-    if likelier > 0.0:
-        return WrongSigmas(found if likelier <= policy.as_good else None)
-    # The more points are blamed, the more clearly each must be distinguished from a factor of all.
-    return replace(found, as_scale=-likelier <= policy.as_good * len(removed))
+    others = ({j for rows in as_good if k not in rows for j in rows if j not in removed} for k in removed)
+    instead = tuple(tuple(int(seen.points[j]) for j in sorted(rows)) for rows in others)
+    return replace(_contradiction(seen, removed, np.array(error), sigma), instead=instead)
 
 
 def _scale_beside_points(seen: Predicted, removed: tuple[int, ...], axes: tuple[int, ...]) -> float:
@@ -267,17 +283,23 @@ def _exchange(seen: Predicted) -> Contradiction | None:
     return _contradiction(seen, (i, j), error, sigma, exchanged=True)
 
 
-def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def contradicting(
+    d: Floats, covariance: Floats, common: Floats, chance: float = policy.family_significance
+) -> tuple[tuple[int, ...], tuple[int, ...], tuple[tuple[int, ...], ...]]:
     """Points that contradict the others, and which of their coordinates: the height, the plane, or all.
 
     One, two, up to a third of them: all subsets are tried together, for two that err alike hide each other.
-    Of each kind as few as make the others agree, and more where each of these gains what chance does not
-    (0.1 %, divided by the choices); of the kinds the most probable (Schwarz 1978).
+    Of each kind as few as make the others agree, and more where each of these gains what chance does not: in
+    a survey that has errors its further points and their kinds are one family of tests. Of all these the most
+    probable (Schwarz 1978).
+
+    chance: probability that any further point is taken although all further ones are right.
+    returns: also as many other points that explain it as well (0.1 %). Nobody is blamed where it may be any.
     """
-    n, freedom, nobody = len(d), d.size - common.shape[1], (tuple[int, ...](), _ALL_AXES)
+    n, freedom, nobody = len(d), d.size - common.shape[1], (tuple[int, ...](), _ALL_AXES, ())
     if freedom < 1 or misfit(d, covariance, common, ()) <= special.chdtri(freedom, policy.significance):
         return nobody
-    options = list[tuple[float, tuple[int, ...], tuple[int, ...], bool]]()
+    options = list[tuple[float, tuple[int, ...], tuple[int, ...], tuple[tuple[int, ...], ...]]]()
     for axes in _WRONG:
         best, agreed = tuple[int, ...](), math.inf
         for size in range(1, max(n // 3, 1) + 1):
@@ -287,19 +309,19 @@ def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[tuple[
             subsets = _subsets(n, best, size)
             tried = sorted((misfit(d, covariance, common, rows, axes), rows) for rows in subsets)
             least, best = tried[0]
-            chance = special.chdtri(len(axes), policy.significance / (n - size + 1))
-            if least > special.chdtri(left, policy.significance) or agreed - least < chance:
+            further = (n - size + 1) * len(_WRONG)
+            limit = special.chdtri(len(axes), chance / further)
+            if least > special.chdtri(left, policy.significance) or agreed - least < limit:
                 continue
             agreed = least
-            # Of points that disagree nobody knows which one is wrong.
             apart = float(special.chdtri(len(axes), policy.significance))
-            clear = len(tried) == 1 or tried[1][0] - least >= apart
-            chosen = (_cost(d, covariance, common, best, axes), best, axes, clear)
-            options = [one for one in options if one[2] != axes] + [chosen]
+            as_good = tuple(rows for left_over, rows in tried[1:] if left_over - least < apart)
+            options.append((_cost(d, covariance, common, best, axes), best, axes, as_good))
     if not options:
-        return _scaled(d, covariance, common), _ALL_AXES
-    _, removed, axes, clear = min(options)
-    return (removed, axes) if clear else nobody
+        return _scaled(d, covariance, common), _ALL_AXES, ()
+    _, removed, axes, as_good = min(options)
+    blamed = {row for rows in (removed, *as_good) for row in rows}
+    return (removed, axes, as_good) if len(blamed) < n else nobody
 
 
 def _cost(

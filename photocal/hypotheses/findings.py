@@ -301,8 +301,11 @@ def _strip(found: SystematicErrors, error: SystematicError) -> Finding:
 def _mistyped(found: SystematicErrors, error: SystematicError, cause: Cause, slips: Slips) -> list[Finding]:
     """Name each control point that contradicts the others: with w, and what would have been detected."""
     away = ndtri(policy.power) - ndtri(policy.significance / 2)
-    listed, rivals = [], ("sigmas-too-small",) * (found.undecided is not None)
+    listed, rival = [], found.undecided
+    rivals = ("sigmas-too-small",) * (rival is not None and rival.as_scale)
+    instead = {} if rival is None else dict(zip(rival.points, rival.instead, strict=False))
     for k, point in enumerate(points_of(found.first.network, cause)):
+        others = tuple(found.first.network.point_names[j] for j in instead.get(cause.members[k], ()))
         own = error.hypothesis.estimates[3 * k : 3 * k + 3]
         # Computed from the other points less given.
         d, sigma = -np.array([e.correction for e in own]), np.array([e.sigma for e in own])
@@ -315,13 +318,15 @@ def _mistyped(found: SystematicErrors, error: SystematicError, cause: Cause, sli
             "detectable_m": float(away * sigma.max()),
             "together": float(len(cause.members)),
             "same": rivals,
+            "instead": others,
         }
+        clauses = (*["same"] * bool(rivals), *["or-points"] * bool(others))
         worst = int(np.argmax(np.abs(d)))
         size = Size(float(d[worst]), "m", float(sigma[worst]))
         remedy, because = ("", "slip") if told else ("look-at-point", "")
         listed.append(
             Finding(
-                *("control-mistyped", "grave", point, figures, ("same",) * bool(rivals)),
+                *("control-mistyped", "grave", point, figures, clauses),
                 size=size,
                 cause=because,
                 remedy=remedy,

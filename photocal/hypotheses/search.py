@@ -74,7 +74,8 @@ class SystematicErrors:
     explained: share of what v'Pv was too large by that is explained; NaN where it was not too large.
     memory: what neighbouring positions share.
     shared: equations of what images share, with all free that a cause may free.
-    undecided: control points whose being wrong and wrong sigmas of all control explain it equally well.
+    undecided: control points that are wrong, where other points, or wrong sigmas of all control, explain it
+        equally well.
     """
 
     tested: tuple[Hypothesis, ...]
@@ -134,17 +135,19 @@ def systematic_errors(
         straight, at_once = without or (first, None)
     given, gross = without_gross_rays(straight)
     done()
-    start, sigmas, against = given, dict[str, GroupTest](), None if at_once else _contradicted(given)
+    start, sigmas, these = given, dict[str, GroupTest](), candidates(given, table)
+    against = None if at_once else _contradicted(given, these)
     scaled = None if against is None else isinstance(against, WrongSigmas)
-    undecided = against if isinstance(against, Contradiction) and against.as_scale else None
+    undecided = against if isinstance(against, Contradiction) else None
     if isinstance(against, WrongSigmas):
         # What one factor explains is laid at no point's door.
         undecided = against.rival
         against, table = None, tuple(entry for entry in table if entry.each not in ("point", "pair"))
+    if scaled is not None:
+        these = candidates(given, table, against)
     stated: Stated | None = None
     steps = dict[str, list[float]]()
     for _ in range(_SETTLING + 1):
-        these = candidates(given, table, against)
         before, shared = these.solved(())[0], these.whole.shared
         now = stated_of(before, given.network)
         larger = now.positions if stated is None else np.maximum(stated.positions, now.positions)
@@ -164,6 +167,7 @@ def systematic_errors(
         known = sigmas.get(wrong.name) or _scaled(wrong, 1.0 / wrong.factor)
         sigmas[wrong.name] = _scaled(known, factor)
         given = _with_sigmas(given.network, wrong.name, factor, near)
+        these = candidates(given, table, against)
         done()
     accepted, search = _placed(search, search.chosen(alone), table, against)
     last, errors, confirmed = given, list[SystematicError](), list[Cause]()
@@ -273,8 +277,11 @@ def without_wrong_control(
     return fitted, SystematicError(told, (), cause)
 
 
-def _contradicted(given: AdjustedNetwork) -> Contradiction | WrongSigmas | None:
-    """Control points that contradict the others, where control does not fit at all."""
+def _contradicted(given: AdjustedNetwork, these: Candidates) -> Contradiction | WrongSigmas | None:
+    """Control points that contradict the others, where control does not fit at all.
+
+    It may fit as a group, and each point with it: two that err alike hide each other.
+    """
     control = next((test for test in groups_of_ground(given.solution) if test.name == "control"), None)
     rays = given.network.rays
     surveyed = np.isin(rays.point, control_points(given.network))
@@ -285,7 +292,11 @@ def _contradicted(given: AdjustedNetwork) -> Contradiction | WrongSigmas | None:
     # Of thousands of rays the largest residual is beyond any limit of a single one.
     limit = -special.ndtri(policy.significance / 2.0 / max(np.isfinite(w).sum(), 1))
     far = np.nanmax(np.abs(w), initial=0.0) > limit * np.sqrt(usual)
-    if not far and (control is None or control.p_value >= policy.significance or control.factor < 1.0):
+    alone = control is not None and control.p_value < policy.significance and control.factor >= 1.0
+    fall, count = these.of_control()
+    scale = max(given.solution.variance_factor, 1.0)
+    together = count > 0 and float(special.chdtrc(count, fall / scale)) < policy.significance
+    if not far and not alone and not together:
         return None
     if of_rays < 1.0 and control is None:
         return None
