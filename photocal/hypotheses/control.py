@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 
 from photocal.adjustment.adjust import minimum_of
 from photocal.adjustment.factored import factorised
+from photocal.adjustment.groups import CONTROL
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
@@ -85,9 +86,11 @@ class Contradiction:
 class WrongSigmas:
     """No point stands apart: the sigmas of the survey are wrong by a factor.
 
+    groups: of which axes, by their names.
     rival: points that are wrong, where they explain it as well.
     """
 
+    groups: tuple[str, ...]
     rival: Contradiction | None = None
 
 
@@ -191,19 +194,23 @@ def contradiction(seen: Predicted) -> Contradiction | WrongSigmas | None:
     if pair is not None:
         return pair
     likeliest, rival = math.inf, None
+    scales = _scales(seen)
     # Where a factor explains more than the fewest points do, the likeliest points compete with it.
     for chance in (policy.family_significance, 1.0):
         removed, axes, as_good = contradicting(seen.d, seen.covariance, seen.common, chance)
         if not removed:
             continue
-        likelier = _scale_beside_points(seen, removed, axes)
+        # Both by their likelihood: errors of some points leave the others as they were stated.
+        now = misfit(seen.d, seen.covariance, seen.common, ())
+        likelier = sum(scales.values()) - now + _cost(seen.d, seen.covariance, seen.common, removed, axes)
         found = _of_points(seen, removed, as_good)
         if likelier <= 0.0:
             # The more points are blamed, the more clearly each must be distinguished from a factor of all.
             return replace(found, as_scale=-likelier <= policy.as_good * len(removed))
         if likelier < likeliest:
             likeliest, rival = likelier, found
-    return None if rival is None else WrongSigmas(rival if likeliest <= policy.as_good else None)
+    groups = tuple(CONTROL[axis] for axis in scales)
+    return None if rival is None else WrongSigmas(groups, rival if likeliest <= policy.as_good else None)
 
 
 def _of_points(
@@ -219,27 +226,23 @@ def _of_points(
     return replace(_contradiction(seen, removed, np.array(error), sigma), instead=instead)
 
 
-def _scale_beside_points(seen: Predicted, removed: tuple[int, ...], axes: tuple[int, ...]) -> float:
-    """By how much sigmas of the survey that are wrong by a factor explain the differences better than points.
+def _scales(seen: Predicted) -> dict[int, float]:
+    """What sigmas of the survey that are wrong by a factor gain of the likelihood, by axis, where they do.
 
-    Both by their likelihood, less the logarithm of the coordinates for each unknown (Schwarz 1978): errors of
-    some points leave the others as they were stated, a factor of an axis belongs to all of them.
+    A factor of an axis belongs to all points, and is one unknown: it costs the logarithm of the coordinates
+    (Schwarz 1978).
     """
-    count = math.log(seen.d.size)
-    now = misfit(seen.d, seen.covariance, seen.common, ())
-    of_points = now - _cost(seen.d, seen.covariance, seen.common, removed, axes)
-    covariance, of_scales = seen.covariance, 0.0
+    covariance, gains = seen.covariance, dict[int, float]()
     for axis in range(3):
         survey = np.zeros_like(covariance)
         at = np.arange(axis, len(covariance), 3)
         survey[at, at] = seen.survey[:, axis, axis]
-        before = _likelihood(seen, covariance)
         tried = [covariance + (factor**2 - 1.0) * survey for factor in _FACTORS]
         best = min(tried, key=lambda one: _likelihood(seen, one))
-        gain = before - _likelihood(seen, best) - count
+        gain = _likelihood(seen, covariance) - _likelihood(seen, best) - math.log(seen.d.size)
         if gain > 0.0:
-            covariance, of_scales = best, of_scales + gain
-    return of_scales - of_points
+            covariance, gains[axis] = best, gain
+    return gains
 
 
 def _likelihood(seen: Predicted, covariance: Floats) -> float:

@@ -136,14 +136,13 @@ def systematic_errors(
     given, gross = without_gross_rays(straight)
     done()
     start, sigmas, these = given, dict[str, GroupTest](), candidates(given, table)
-    against = None if at_once else _contradicted(given, these)
-    scaled = None if against is None else isinstance(against, WrongSigmas)
-    undecided = against if isinstance(against, Contradiction) else None
-    if isinstance(against, WrongSigmas):
+    contradicted = None if at_once else _contradicted(given, these)
+    against = contradicted if isinstance(contradicted, Contradiction) else None
+    undecided = contradicted.rival if isinstance(contradicted, WrongSigmas) else against
+    if isinstance(contradicted, WrongSigmas):
         # What one factor explains is laid at no point's door.
-        undecided = against.rival
-        against, table = None, tuple(entry for entry in table if entry.each not in ("point", "pair"))
-    if scaled is not None:
+        table = tuple(entry for entry in table if entry.each not in ("point", "pair"))
+    if contradicted is not None:
         these = candidates(given, table, against)
     stated: Stated | None = None
     steps = dict[str, list[float]]()
@@ -154,7 +153,7 @@ def systematic_errors(
         stated = replace(stated or now, positions=larger)
         search = Selection(these, stated)
         alone = search.beside(())
-        wrong = _wrong_sigma(given, alone, steps, scaled=scaled)
+        wrong = _wrong_sigma(given, alone, steps, contradicted)
         if wrong is None or sum(map(len, steps.values())) == _SETTLING:
             break
         # Points are eliminated, with what is known of them: only an adjustment tells what their sigmas do.
@@ -308,13 +307,11 @@ def _wrong_sigma(
     given: AdjustedNetwork,
     tries: dict[Cause, Hypothesis],
     steps: dict[str, list[float]],
-    *,
-    scaled: bool | None,
+    contradicted: Contradiction | WrongSigmas | None,
 ) -> GroupTest | None:
     """Choose the group whose stated sigmas are wrong, rather than a cause.
 
-    scaled: whether those of control are, as its differences say; False where these say that points are
-        wrong, None where they say neither.
+    contradicted: what the differences of control say of it.
 
     A factor is one unknown, and gains likelihood where all residuals of a group are too large or too small;
     an error competes with it (Schwarz 1978). Too small residuals no error explains, and those of positions
@@ -329,18 +326,22 @@ def _wrong_sigma(
     memory = memory_of(given)
     wrong = []
     groups = [one for one in group_tests(given.network, given.solution) if one.name in _STATED]
+    stretched = contradicted.groups if isinstance(contradicted, WrongSigmas) else ()
+    of_points = isinstance(contradicted, Contradiction) and not contradicted.as_scale
     for test in groups:
         # Once it is known to be wrong, its factor settles.
         if test.name in steps:
             if abs(test.factor - 1.0) > _SETTLED:
                 return test
             continue
-        if test.p_value >= policy.significance or abs(test.factor - 1.0) < policy.wrong_sigma:
+        # The differences of control have tested it before.
+        preferred = test.name in stretched
+        tested = preferred or test.p_value < policy.significance
+        if not tested or abs(test.factor - 1.0) < policy.wrong_sigma:
             continue
-        if scaled is False and test.name in CONTROL:
+        if of_points and test.name in CONTROL:
             continue
         too_large = test.chi_squared - test.redundancy
-        preferred = scaled and test.name in CONTROL
         unknown = of_control if test.name in CONTROL else of_all
         if (
             not preferred
