@@ -86,11 +86,11 @@ class Contradiction:
 class WrongSigmas:
     """No point stands apart: the sigmas of the survey are wrong by a factor.
 
-    groups: of which axes, by their names.
+    group: of the axis that shows it most, by its name.
     rival: points that are wrong, where they explain it as well.
     """
 
-    groups: tuple[str, ...]
+    group: str
     rival: Contradiction | None = None
 
 
@@ -197,33 +197,34 @@ def contradiction(seen: Predicted) -> Contradiction | WrongSigmas | None:
     scales = _scales(seen)
     # Where a factor explains more than the fewest points do, the likeliest points compete with it.
     for chance in (policy.family_significance, 1.0):
-        removed, axes, as_good = contradicting(seen.d, seen.covariance, seen.common, chance)
+        removed, axes, instead = contradicting(seen.d, seen.covariance, seen.common, chance)
         if not removed:
             continue
         # Both by their likelihood: errors of some points leave the others as they were stated.
         now = misfit(seen.d, seen.covariance, seen.common, ())
         likelier = sum(scales.values()) - now + _cost(seen.d, seen.covariance, seen.common, removed, axes)
-        found = _of_points(seen, removed, as_good)
+        found = _of_points(seen, removed, instead)
         if likelier <= 0.0:
             # The more points are blamed, the more clearly each must be distinguished from a factor of all.
             return replace(found, as_scale=-likelier <= policy.as_good * len(removed))
         if likelier < likeliest:
             likeliest, rival = likelier, found
-    groups = tuple(CONTROL[axis] for axis in scales)
-    return None if rival is None else WrongSigmas(groups, rival if likeliest <= policy.as_good else None)
+    if rival is None:
+        return None
+    most = CONTROL[max(scales, key=lambda axis: scales[axis])]
+    return WrongSigmas(most, rival if likeliest <= policy.as_good else None)
 
 
 def _of_points(
-    seen: Predicted, removed: tuple[int, ...], as_good: tuple[tuple[int, ...], ...]
+    seen: Predicted, removed: tuple[int, ...], instead: tuple[tuple[int, ...], ...]
 ) -> Contradiction:
     """Points that are wrong, each with those that would explain it as well in its place."""
     error, spread = zip(
         *(_beside_others(seen.d, seen.covariance, seen.common, removed, k) for k in removed), strict=True
     )
     sigma = np.sqrt(np.diagonal(np.array(spread), axis1=1, axis2=2))
-    others = ({j for rows in as_good if k not in rows for j in rows if j not in removed} for k in removed)
-    instead = tuple(tuple(int(seen.points[j]) for j in sorted(rows)) for rows in others)
-    return replace(_contradiction(seen, removed, np.array(error), sigma), instead=instead)
+    others = tuple(tuple(int(seen.points[j]) for j in rows) for rows in instead)
+    return replace(_contradiction(seen, removed, np.array(error), sigma), instead=others)
 
 
 def _scales(seen: Predicted) -> dict[int, float]:
@@ -297,12 +298,16 @@ def contradicting(
     probable (Schwarz 1978).
 
     chance: probability that any further point is taken although all further ones are right.
-    returns: also as many other points that explain it as well (0.1 %). Nobody is blamed where it may be any.
+    returns: also, of each, those that explain it as well in its place (0.1 %). None is named where most of
+        the others may have done it.
     """
     n, freedom, nobody = len(d), d.size - common.shape[1], (tuple[int, ...](), _ALL_AXES, ())
     if freedom < 1 or misfit(d, covariance, common, ()) <= special.chdtri(freedom, policy.significance):
         return nobody
-    options = list[tuple[float, tuple[int, ...], tuple[int, ...], tuple[tuple[int, ...], ...]]]()
+    options, unclear = (
+        list[tuple[float, tuple[int, ...], tuple[int, ...], tuple[tuple[int, ...], ...]]](),
+        False,
+    )
     for axes in _WRONG:
         best, agreed = tuple[int, ...](), math.inf
         for size in range(1, max(n // 3, 1) + 1):
@@ -318,13 +323,19 @@ def contradicting(
                 continue
             agreed = least
             apart = float(special.chdtri(len(axes), policy.significance))
-            as_good = tuple(rows for left_over, rows in tried[1:] if left_over - least < apart)
-            options.append((_cost(d, covariance, common, best, axes), best, axes, as_good))
+            as_good = [rows for left_over, rows in tried[1:] if left_over - least < apart]
+            instead = tuple(
+                tuple(sorted({j for rows in as_good if k not in rows for j in rows if j not in best}))
+                for k in best
+            )
+            if any(2 * len(others) > n - size for others in instead):
+                unclear = True
+            else:
+                options.append((_cost(d, covariance, common, best, axes), best, axes, instead))
     if not options:
-        return _scaled(d, covariance, common), _ALL_AXES, ()
-    _, removed, axes, as_good = min(options)
-    blamed = {row for rows in (removed, *as_good) for row in rows}
-    return (removed, axes, as_good) if len(blamed) < n else nobody
+        return nobody if unclear else (_scaled(d, covariance, common), _ALL_AXES, ())
+    _, removed, axes, instead = min(options)
+    return removed, axes, instead
 
 
 def _cost(

@@ -326,7 +326,7 @@ def _wrong_sigma(
     memory = memory_of(given)
     wrong = []
     groups = [one for one in group_tests(given.network, given.solution) if one.name in _STATED]
-    stretched = contradicted.groups if isinstance(contradicted, WrongSigmas) else ()
+    stretched = contradicted if isinstance(contradicted, WrongSigmas) else None
     of_points = isinstance(contradicted, Contradiction) and not contradicted.as_scale
     for test in groups:
         # Once it is known to be wrong, its factor settles.
@@ -334,10 +334,12 @@ def _wrong_sigma(
             if abs(test.factor - 1.0) > _SETTLED:
                 return test
             continue
+        preferred = stretched is not None and test.name in CONTROL
         # The differences of control have tested it before.
-        preferred = test.name in stretched
-        tested = preferred or test.p_value < policy.significance
-        if not tested or abs(test.factor - 1.0) < policy.wrong_sigma:
+        before = stretched is not None and test.name == stretched.group
+        if (test.p_value >= policy.significance and not before) or abs(
+            test.factor - 1.0
+        ) < policy.wrong_sigma:
             continue
         if of_points and test.name in CONTROL:
             continue
