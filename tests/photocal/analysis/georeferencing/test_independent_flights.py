@@ -221,6 +221,25 @@ def test_a_lever_arm_that_any_order_of_axes_would_fit_has_no_exchanged_axes(seed
     assert [exchanged.causes(command)[0].code for command in ("check", "analyse")] == ["lever-arm-axes"] * 2
 
 
+@pytest.mark.parametrize("seed", [9, 13, 30])
+def test_two_control_points_that_hide_each_other_are_both_named(seed: int) -> None:
+    """Both too high: control fits as a group, and each of the two with the other."""
+    fault, row = at_twice_its_size("two control points, 30 cm Z", seed)
+    for command in ("check", "analyse"):
+        assert named_first(fault, row, command)
+        assert accused(fault, row, command) == []
+
+
+def test_a_control_point_that_another_may_replace_says_so() -> None:
+    fault, row = at_twice_its_size("two control points, 30 cm Z", 3)
+    for command in ("check", "analyse"):
+        rivals = {one.subject: one.rivals for one in row.causes(command) if one.code in fault.names}
+        assert set(rivals) == set(fault.subjects)
+        assert "co4" in rivals["co1"].split(",")
+        assert "co4" not in rivals["co3"].split(",")
+        assert all(one.severity == "doubtful" for one in row.causes(command))
+
+
 @pytest.mark.parametrize("name", ["rolling 15 ms, shutter unknown", "rolling 3 ms, shutter unknown"])
 def test_both_commands_tell_once_of_a_readout_that_was_estimated(tmp_path: Path, name: str) -> None:
     fault = FAULTS[name]
