@@ -150,14 +150,15 @@ class Candidates:
             if abs(amount) > trace * one
         }
 
-    def of_control(self) -> tuple[float, int]:
+    def of_control(self, causes: Sequence[Cause] = ()) -> tuple[float, int]:
         """What v'Pv falls by where each control point has an error of its own, and by how many of them.
 
-        What all points have in common is no contradiction among them.
+        What all points have in common is no contradiction among them, nor is what other causes explain.
         """
         points = [cause for cause in self.causes if cause.fault.each == "point" and len(cause.members) == 1]
         added = [k for cause in points for k in cause.added]
-        matrix, right, *_ = self.whole.equations(self.given, (*self.beside, *added))
+        others = [k for cause in causes for k in cause.added]
+        matrix, right, *_ = self.whole.equations(self.stated(causes), (*self.beside, *others, *added))
         count, at = len(added), slice(len(matrix) - len(added), None)
         if not count:
             return 0.0, 0
@@ -176,8 +177,8 @@ class Candidates:
         d = (axes.T[kept] @ pull) / root
         shift, _, rank, _ = np.linalg.lstsq(common, d, rcond=None)
         # Points that are not tested one by one contradict less.
-        others = 3 * (len(control_points(self.network)) - len(points))
-        return float(np.sum((d - common @ shift) ** 2)), int(kept.sum()) - int(rank) + others
+        further = 3 * (len(control_points(self.network)) - len(points))
+        return float(np.sum((d - common @ shift) ** 2)), int(kept.sum()) - int(rank) + further
 
     def determined(self, cause: Cause) -> bool:
         """Whether what a cause adds is something beside all other unknowns, and may be large enough."""

@@ -292,15 +292,29 @@ def _contradicted(given: AdjustedNetwork, these: Candidates) -> Contradiction | 
     limit = -special.ndtri(policy.significance / 2.0 / max(np.isfinite(w).sum(), 1))
     far = np.nanmax(np.abs(w), initial=0.0) > limit * np.sqrt(usual)
     alone = control is not None and control.p_value < policy.significance and control.factor >= 1.0
-    fall, count = these.of_control()
-    scale = max(given.solution.variance_factor, 1.0)
-    together = count > 0 and float(special.chdtrc(count, fall / scale)) < policy.significance
-    if not far and not alone and not together:
+    together = _disagrees(given, these)
+    if not (far or alone or together) or (together and _otherwise(given, these)):
         return None
     if of_rays < 1.0 and control is None:
         return None
     seen = predicted(given.network, given.state)
     return None if seen is None else contradiction(seen)
+
+
+def _disagrees(given: AdjustedNetwork, these: Candidates, causes: Sequence[Cause] = ()) -> bool:
+    """Whether control contradicts itself, whatever group and points say, with some causes free."""
+    fall, count = these.of_control(causes)
+    scale = max(given.solution.variance_factor, 1.0)
+    return count > 0 and float(special.chdtrc(count, fall / scale)) < policy.significance
+
+
+def _otherwise(given: AdjustedNetwork, these: Candidates) -> bool:
+    """Whether the most probable cause outside of control leaves nothing that contradicts itself there."""
+    tries = Selection(these, stated_of(these.solved(())[0], given.network)).beside(())
+    others = [c for c, one in tries.items() if one.significant and c.fault.each not in ("point", "pair")]
+    if not others:
+        return False
+    return not _disagrees(given, these, (max(others, key=lambda cause: tries[cause].value),))
 
 
 def _wrong_sigma(
