@@ -23,6 +23,7 @@ from photocal.analysis.outcome import (
     analyse_network,
 )
 from photocal.analysis.searched_block import SearchedBlock
+from photocal.analysis.shutters import shutter_findings
 from photocal.base.arrays import as_plain
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.base.files import digest, output_file, write_json
@@ -122,7 +123,8 @@ def analyse_block(
     assembly = assemble(block) if result is None else network_of(block, result)
     checks, start = checks_of(block, assembly), None if result is None else state_of(assembly, result)
     slips = slips_of(block, assembly)
-    return analyse_network(assembly.network, checks, alpha, threshold, done, draws, start, slips)
+    outcome = analyse_network(assembly.network, checks, alpha, threshold, done, draws, start, slips)
+    return outcome if result is None else with_shutters_told(outcome, result)
 
 
 def analyse_searched(searched: SearchedBlock, done: Callable[[float], None] = lambda _: None) -> Outcome:
@@ -130,7 +132,14 @@ def analyse_searched(searched: SearchedBlock, done: Callable[[float], None] = la
     block, assembly = searched.adjusted.block, searched.adjusted.assembly
     checks, slips = checks_of(block, assembly), slips_of(block, assembly)
     levels = policy.parameter_significance, policy.strong_correlation
-    return analyse_adjusted(searched.causes, checks, *levels, done, slips=slips)
+    outcome = analyse_adjusted(searched.causes, checks, *levels, done, slips=slips)
+    return with_shutters_told(outcome, searched.adjusted.result)
+
+
+def with_shutters_told(outcome: Outcome, result: Result) -> Outcome:
+    """Give an analysis with what the adjustment found of shutters, behind all hidden errors."""
+    told = shutter_findings(result.cameras, result.readouts)
+    return replace(outcome, findings=(*outcome.findings, *told))
 
 
 def checks_of(block: Block, assembly: NetworkOfBlock) -> Checks:

@@ -10,7 +10,7 @@ from photocal.base.policy import policy
 from photocal.findings.finding import Finding
 
 # Clauses that name rivals: causes that explain the observations as well.
-_RIVALS = frozenset(("same", "as-good", "alike"))
+_RIVALS = frozenset(("same", "as-good", "alike", "or-points"))
 # Clauses in metres, and what is said instead where a block has no scale.
 _METRES = {"shifts_c": "shifts_c_alone", "heights_hang": "heights_hang_alone", "at_this_distance": ""}
 

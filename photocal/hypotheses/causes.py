@@ -16,13 +16,14 @@ from photocal.adjustment.groups import Member, member_tests
 from photocal.adjustment.mounting import COMMON, SHIFT, STRIPS, Mounting
 from photocal.adjustment.network import Network
 from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import IllPosedError
 from photocal.base.policy import policy
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.hypotheses.bent_rays import bent_rays
 from photocal.hypotheses.control import Contradiction, control_points
 from photocal.hypotheses.faults import FAULTS
 from photocal.hypotheses.fields import LEFT, RayField, ray_fields
-from photocal.hypotheses.system import Added, System, chi_squared_of, loosened, system
+from photocal.hypotheses.system import Added, Beyond, System, loosened, system
 from photocal.hypotheses.table import Fault
 
 # So many positions and control points, the most contradicted ones, are tested in addition to all else.
@@ -105,21 +106,31 @@ class Candidates:
         opens = any(cause.fault.frees for cause in causes)
         return observed(self.whole.shared, *freed(self.network, causes)) if opens else self.given
 
-    def fall(self, causes: Sequence[Cause]) -> tuple[float, int]:
-        """Give v'Pv and degrees of freedom with some causes free.
+    def beyond(self, causes: Sequence[Cause]) -> Beyond:
+        """Give the equations of what may be added beside some causes, which are free.
 
         raises IllPosedError: when they cannot be separated from what is free already.
         """
-        here = self.stated(causes)
         added = [k for cause in causes if cause.fixed is None for k in cause.added]
-        matrix, right, chosen, chi_squared, freedom = self.whole.equations(here, (*self.beside, *added))
+        beside = self.whole.beyond(self.stated(causes), (*self.beside, *added))
         for cause in causes:
             if cause.fixed is not None:
-                at, amount = self.whole.border + np.array(cause.added), np.array(cause.fixed)
-                pull = self.whole.matrix[:, at] @ amount
-                chi_squared += float(amount @ pull[at] - 2.0 * amount @ self.whole.right[at])
-                right = right - pull[chosen]
-        return chi_squared_of(matrix, right, chi_squared), freedom
+                beside = beside.moved(cause.added, cause.fixed)
+        return beside
+
+    def fall(self, before: Beyond, others: Sequence[Cause], cause: Cause) -> tuple[float, int]:
+        """Give v'Pv and degrees of freedom with a cause free beside others.
+
+        before: equations beside the others alone.
+        raises IllPosedError: as `beyond`.
+        """
+        if cause.fixed is not None:
+            after = before.moved(cause.added, cause.fixed)
+        elif cause.fault.frees:
+            after = self.beyond((*others, cause))
+        else:
+            return before.freed(cause.added)
+        return after.chi_squared, after.degrees_of_freedom
 
     def solved(self, causes: Sequence[Cause]) -> tuple[Shared, dict[tuple[str, str], tuple[Floats, Floats]]]:
         """Give what is shared with some causes free, and the amounts of what was added, with covariances."""
@@ -150,6 +161,30 @@ class Candidates:
             if abs(amount) > trace * one
         }
 
+    def of_control(self, causes: Sequence[Cause] = ()) -> tuple[float, int]:
+        """What v'Pv falls by where each control point has an error of its own, and by how many of them.
+
+        What all points have in common is no contradiction among them, nor is what other causes explain.
+        """
+        points = [cause for cause in self.causes if cause.fault.each == "point" and len(cause.members) == 1]
+        added = [k for cause in points for k in cause.added]
+        if not added:
+            return 0.0, 0
+        beside = self.beyond(causes)
+        scale = np.sqrt(self.lengths[added])
+        left, axes = np.linalg.eigh(beside.matrix[np.ix_(added, added)] / np.outer(scale, scale))
+        kept = left > LEFT
+        root = np.sqrt(left[kept])
+        shifts = scale[:, None] * np.tile(np.eye(3), (len(points), 1))
+        common = root[:, None] * (axes.T[kept] @ (shifts / np.linalg.norm(shifts, axis=0)))
+        # Without positions a shift of all of them is free.
+        common = common[:, np.linalg.norm(common, axis=0) ** 2 > LEFT]
+        d = (axes.T[kept] @ (beside.right[added] / scale)) / root
+        shift, _, rank, _ = np.linalg.lstsq(common, d, rcond=None)
+        # Points that are not tested one by one contradict less.
+        further = 3 * (len(control_points(self.network)) - len(points))
+        return float(np.sum((d - common @ shift) ** 2)), int(kept.sum()) - int(rank) + further
+
     def determined(self, causes: Sequence[Cause]) -> tuple[Cause, ...]:
         """Choose the causes whose unknown is something beside all others, and may be large enough."""
         alike = defaultdict[tuple[object, ...], list[Cause]](list)
@@ -161,18 +196,15 @@ class Candidates:
 
     def _hidden(self, causes: Sequence[Cause]) -> Iterator[Cause]:
         """Those of some causes of one unknown each, which free the same of what is shared, that are not."""
-        added = [k for cause in causes for k in cause.added]
-        matrix, *_ = self.whole.equations(self.stated(causes[:1]), (*self.beside, *added))
-        others = len(matrix) - len(added)
-        across = matrix[:others, others:]
         try:
-            follow = np.linalg.solve(matrix[:others, :others], across)
-        except np.linalg.LinAlgError:
-            follow = np.full(across.shape, np.nan)
-        left = np.diag(matrix)[others:] - np.sum(across * follow, axis=0)
-        for cause, k, own in zip(causes, added, left, strict=True):
+            left = np.diag(self.whole.beyond(self.stated(causes[:1]), self.beside).matrix)
+        except IllPosedError:
+            yield from causes
+            return
+        for cause in causes:
+            (k,) = cause.added
             most = np.inf if cause.field is None else cause.field.most
-            if not (own > LEFT * self.lengths[k] and (np.isinf(most) or own * most**2 >= _FOUND)):
+            if not (left[k] > LEFT * self.lengths[k] and (np.isinf(most) or left[k] * most**2 >= _FOUND)):
                 yield cause
 
 

@@ -11,11 +11,12 @@ from scipy.linalg import block_diag
 
 from photocal.adjustment.adjust import minimum_of
 from photocal.adjustment.factored import factorised
+from photocal.adjustment.groups import CONTROL
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import PhotocalError
 from photocal.base.policy import policy
 from photocal.geometry.distortion import slopes_of
@@ -34,7 +35,7 @@ _ALL_AXES = (0, 1, 2)
 _WRONG: tuple[tuple[int, ...], ...] = ((2,), (0, 1), _ALL_AXES)
 # Factors by which the sigmas of a survey may be too small.
 _FACTORS = np.geomspace(1.2, 60.0, 24)
-# Random errors that are drawn to see how often a slip fits by chance.
+# Random errors that are drawn to see how often a slip fits by chance, and how often it may.
 DRAWS, SLIP_BY_CHANCE = 300, 0.05
 
 
@@ -64,6 +65,7 @@ class Contradiction:
     members: rows of the prediction; two of them for an exchange.
     exchanged: whether the two have changed places.
     as_scale: whether standard deviations of the survey that are wrong by a factor explain it as well.
+    instead: of each point, those that would explain it as well in its place.
     error (m, 3), sigma (m, 3): computed from the others less given, and its standard deviation, m.
     detectable (m, 3): error along an axis that would be found with 80 % power (Baarda 1968), m.
     choices: subsets of that kind that there are.
@@ -77,15 +79,18 @@ class Contradiction:
     detectable: Floats
     choices: int
     as_scale: bool = False
+    instead: tuple[tuple[int, ...], ...] = ()
 
 
 @dataclass(frozen=True)
 class WrongSigmas:
     """No point stands apart: the sigmas of the survey are wrong by a factor.
 
+    group: of the axis that shows it most, by its name.
     rival: points that are wrong, where they explain it as well.
     """
 
+    group: str
     rival: Contradiction | None = None
 
 
@@ -188,42 +193,57 @@ def contradiction(seen: Predicted) -> Contradiction | WrongSigmas | None:
     pair = _exchange(seen)
     if pair is not None:
         return pair
-    removed, axes = contradicting(seen.d, seen.covariance, seen.common)
-    if not removed:
+    likeliest, rival = math.inf, None
+    scales = _scales(seen)
+    # Where a factor explains more than the fewest points do, the likeliest points compete with it.
+    for chance in (policy.family_significance, 1.0):
+        removed, axes, instead = contradicting(seen.d, seen.covariance, seen.common, chance)
+        if not removed:
+            continue
+        # Both by their likelihood: errors of some points leave the others as they were stated.
+        now = misfit(seen.d, seen.covariance, seen.common, ())
+        likelier = sum(scales.values()) - now + _cost(seen.d, seen.covariance, seen.common, removed, axes)
+        found = _of_points(seen, removed, instead)
+        if likelier <= 0.0:
+            # The more points are blamed, the more clearly each must be distinguished from a factor of all.
+            return replace(found, as_scale=-likelier <= policy.as_good * len(removed))
+        if likelier < likeliest:
+            likeliest, rival = likelier, found
+    if rival is None:
         return None
-    likelier = _scale_beside_points(seen, removed, axes)
+    most = CONTROL[max(scales, key=lambda axis: scales[axis])]
+    return WrongSigmas(most, rival if likeliest <= policy.as_good else None)
+
+
+def _of_points(
+    seen: Predicted, removed: tuple[int, ...], instead: tuple[tuple[int, ...], ...]
+) -> Contradiction:
+    """Points that are wrong, each with those that would explain it as well in its place."""
     error, spread = zip(
         *(_beside_others(seen.d, seen.covariance, seen.common, removed, k) for k in removed), strict=True
     )
     sigma = np.sqrt(np.diagonal(np.array(spread), axis1=1, axis2=2))
-    found = _contradiction(seen, removed, np.array(error), sigma)
-    if likelier > 0.0:
-        return WrongSigmas(found if likelier <= policy.as_good else None)
-    # The more points are blamed, the more clearly each must be distinguished from a factor of all.
-    return replace(found, as_scale=-likelier <= policy.as_good * len(removed))
+    others = tuple(tuple(int(seen.points[j]) for j in rows) for rows in instead)
+    return replace(_contradiction(seen, removed, np.array(error), sigma), instead=others)
 
 
-def _scale_beside_points(seen: Predicted, removed: tuple[int, ...], axes: tuple[int, ...]) -> float:
-    """By how much sigmas of the survey that are wrong by a factor explain the differences better than points.
+def _scales(seen: Predicted) -> dict[int, float]:
+    """What sigmas of the survey that are wrong by a factor gain of the likelihood, by axis, where they do.
 
-    Both by their likelihood, less the logarithm of the coordinates for each unknown (Schwarz 1978): errors of
-    some points leave the others as they were stated, a factor of an axis belongs to all of them.
+    A factor of an axis belongs to all points, and is one unknown: it costs the logarithm of the coordinates
+    (Schwarz 1978).
     """
-    count = math.log(seen.d.size)
-    now = misfit(seen.d, seen.covariance, seen.common, ())
-    of_points = now - _cost(seen.d, seen.covariance, seen.common, removed, axes)
-    covariance, of_scales = seen.covariance, 0.0
+    covariance, gains = seen.covariance, dict[int, float]()
     for axis in range(3):
         survey = np.zeros_like(covariance)
         at = np.arange(axis, len(covariance), 3)
         survey[at, at] = seen.survey[:, axis, axis]
-        before = _likelihood(seen, covariance)
         tried = [covariance + (factor**2 - 1.0) * survey for factor in _FACTORS]
         best = min(tried, key=lambda one: _likelihood(seen, one))
-        gain = before - _likelihood(seen, best) - count
+        gain = _likelihood(seen, covariance) - _likelihood(seen, best) - math.log(seen.d.size)
         if gain > 0.0:
-            covariance, of_scales = best, of_scales + gain
-    return of_scales - of_points
+            covariance, gains[axis] = best, gain
+    return gains
 
 
 def _likelihood(seen: Predicted, covariance: Floats) -> float:
@@ -267,17 +287,27 @@ def _exchange(seen: Predicted) -> Contradiction | None:
     return _contradiction(seen, (i, j), error, sigma, exchanged=True)
 
 
-def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def contradicting(
+    d: Floats, covariance: Floats, common: Floats, chance: float = policy.family_significance
+) -> tuple[tuple[int, ...], tuple[int, ...], tuple[tuple[int, ...], ...]]:
     """Points that contradict the others, and which of their coordinates: the height, the plane, or all.
 
     One, two, up to a third of them: all subsets are tried together, for two that err alike hide each other.
-    Of each kind as few as make the others agree, and more where each of these gains what chance does not
-    (0.1 %, divided by the choices); of the kinds the most probable (Schwarz 1978).
+    Of each kind as few as make the others agree, and more where each of these gains what chance does not: in
+    a survey that has errors its further points and their kinds are one family of tests. Of all these the most
+    probable (Schwarz 1978).
+
+    chance: probability that any further point is taken although all further ones are right.
+    returns: also, of each, those that explain it as well in its place (0.1 %). None is named where most of
+        the others may have done it.
     """
-    n, freedom, nobody = len(d), d.size - common.shape[1], (tuple[int, ...](), _ALL_AXES)
+    n, freedom, nobody = len(d), d.size - common.shape[1], (tuple[int, ...](), _ALL_AXES, ())
     if freedom < 1 or misfit(d, covariance, common, ()) <= special.chdtri(freedom, policy.significance):
         return nobody
-    options = list[tuple[float, tuple[int, ...], tuple[int, ...], bool]]()
+    options, unclear = (
+        list[tuple[float, tuple[int, ...], tuple[int, ...], tuple[tuple[int, ...], ...]]](),
+        False,
+    )
     for axes in _WRONG:
         best, agreed = tuple[int, ...](), math.inf
         for size in range(1, max(n // 3, 1) + 1):
@@ -287,19 +317,25 @@ def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[tuple[
             subsets = _subsets(n, best, size)
             tried = sorted((misfit(d, covariance, common, rows, axes), rows) for rows in subsets)
             least, best = tried[0]
-            chance = special.chdtri(len(axes), policy.significance / (n - size + 1))
-            if least > special.chdtri(left, policy.significance) or agreed - least < chance:
+            further = (n - size + 1) * len(_WRONG)
+            limit = special.chdtri(len(axes), chance / further)
+            if least > special.chdtri(left, policy.significance) or agreed - least < limit:
                 continue
             agreed = least
-            # Of points that disagree nobody knows which one is wrong.
             apart = float(special.chdtri(len(axes), policy.significance))
-            clear = len(tried) == 1 or tried[1][0] - least >= apart
-            chosen = (_cost(d, covariance, common, best, axes), best, axes, clear)
-            options = [one for one in options if one[2] != axes] + [chosen]
+            as_good = [rows for left_over, rows in tried[1:] if left_over - least < apart]
+            instead = tuple(
+                tuple(sorted({j for rows in as_good if k not in rows for j in rows if j not in best}))
+                for k in best
+            )
+            if any(2 * len(others) > n - size for others in instead):
+                unclear = True
+            else:
+                options.append((_cost(d, covariance, common, best, axes), best, axes, instead))
     if not options:
-        return _scaled(d, covariance, common), _ALL_AXES
-    _, removed, axes, clear = min(options)
-    return (removed, axes) if clear else nobody
+        return nobody if unclear else (_scaled(d, covariance, common), _ALL_AXES, ())
+    _, removed, axes, instead = min(options)
+    return removed, axes, instead
 
 
 def _cost(
@@ -386,14 +422,18 @@ def slips(given: Floats, wanted: Floats, sigma: Floats, system: str) -> tuple[st
     told, away = _fitting(given, wanted, tolerance, sigma)
     if not told:
         return ()
-    rng = np.random.default_rng(1)
     as_close = np.minimum(max(away, 1.0), policy.slip_sigmas) * sigma
     error = wanted - given
-    wrong = np.abs(error) > tolerance
-    size = np.exp(rng.uniform(-0.7, 0.7, (DRAWS, 3))) * np.abs(error) * rng.choice([-1.0, 1.0], (DRAWS, 3))
-    drawn = given + np.where(wrong, size, 0.0)
+    drawn = given + random_errors(error, np.abs(error) > tolerance)
     chance = np.mean([bool(_fitting(given, other, as_close, sigma, tolerance)[0]) for other in drawn])
     return told if chance < SLIP_BY_CHANCE else ()
+
+
+def random_errors(error: Floats, wrong: Flags) -> Floats:
+    """Draw errors about as large as one of three axes, half to twice, with either sign, where it is wrong."""
+    rng = np.random.default_rng(1)
+    size = np.exp(rng.uniform(-0.7, 0.7, (DRAWS, 3))) * np.abs(error) * rng.choice([-1.0, 1.0], (DRAWS, 3))
+    return np.where(wrong, size, 0.0)
 
 
 def _fitting(

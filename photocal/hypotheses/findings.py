@@ -18,6 +18,7 @@ from photocal.findings.harm import Asked, harmful_from, weighed
 from photocal.geometry.camera import Camera
 from photocal.hypotheses.adequacy import Memory
 from photocal.hypotheses.causes import Cause, points_of
+from photocal.hypotheses.control import SLIP_BY_CHANCE, random_errors
 from photocal.hypotheses.faults import fault
 from photocal.hypotheses.judged import Estimate, Hypothesis
 from photocal.hypotheses.search import SystematicErrors, changed_points
@@ -232,26 +233,26 @@ def swapped_axes(estimates: tuple[Estimate, ...]) -> Finding | None:
     """A lever arm that was given with its axes in another order or with another sign.
 
     The exchange must agree with what was found (chi-squared of the three at 95 %), which what was given does
-    not.
+    not. There are 47, and some would agree with many a vector: none is named unless fewer than one in twenty
+    random errors of the same axes, and about as large, would have one.
     """
     value = np.array([estimate.value for estimate in estimates])
-    given = value - np.array([estimate.correction for estimate in estimates])
-    sigma = np.array([estimate.sigma for estimate in estimates])
-    limit = float(chdtri(len(value), 1.0 - policy.confidence))
-    best: tuple[int, float, tuple[str, ...]] | None = None
-    for order in permutations(range(3)):
-        for sign in product((1.0, -1.0), repeat=3):
-            meant = given[list(order)] * np.array(sign)
-            # Equal or zero components make many orders the same vector: the least change is named.
-            changed = [k for k in range(3) if order[k] != k or sign[k] < 0]
-            away = float(np.sum(((meant - value) / sigma) ** 2))
-            fits = away <= limit and bool(np.any(meant != given))
-            if fits and (best is None or (len(changed), away) < best[:2]):
-                best = len(changed), away, _changes(order, sign)
-    if best is None:
+    error = np.array([estimate.correction for estimate in estimates])
+    sigma, given = np.array([estimate.sigma for estimate in estimates]), value - error
+    tried = list(product(permutations(range(3)), product((1.0, -1.0), repeat=3)))
+    meant = np.array([given[list(order)] * np.array(sign) for order, sign in tried])
+    other = np.any(meant != given, axis=1)
+    wrong = np.array([estimate.significant for estimate in estimates])
+    values = np.vstack([value, given + random_errors(error, wrong)])
+    away = np.sum(((meant[:, None] - values) / sigma) ** 2, axis=2)
+    fits = other[:, None] & (away <= float(chdtri(3, 1.0 - policy.confidence)))
+    if not fits[:, 0].any() or fits[:, 1:].any(axis=0).mean() >= SLIP_BY_CHANCE:
         return None
+    # Equal or zero components make many orders the same vector: the least change is named.
+    changed = [sum(order[k] != k or sign[k] < 0 for k in range(3)) for order, sign in tried]
+    best = min(np.flatnonzero(fits[:, 0]).tolist(), key=lambda k: (changed[k], away[k, 0]))
     numbers, stated = (tuple(f"{v:+.3f}" for v in vector) for vector in (value, given))
-    figures: dict[str, Figure] = {"stated": stated, "numbers": numbers, "changes": best[2]}
+    figures: dict[str, Figure] = {"stated": stated, "numbers": numbers, "changes": _changes(*tried[best])}
     size = _largest(estimates)
     return Finding("lever-arm-axes", "grave", figures=figures, clauses=("stated-and-found",), size=size)
 
@@ -300,8 +301,11 @@ def _strip(found: SystematicErrors, error: SystematicError) -> Finding:
 def _mistyped(found: SystematicErrors, error: SystematicError, cause: Cause, slips: Slips) -> list[Finding]:
     """Name each control point that contradicts the others: with w, and what would have been detected."""
     away = ndtri(policy.power) - ndtri(policy.significance / 2)
-    listed, rivals = [], ("sigmas-too-small",) * (found.undecided is not None)
+    listed, rival = [], found.undecided
+    rivals = ("sigmas-too-small",) * (rival is not None and rival.as_scale)
+    instead = {} if rival is None else dict(zip(rival.points, rival.instead, strict=False))
     for k, point in enumerate(points_of(found.first.network, cause)):
+        others = tuple(found.first.network.point_names[j] for j in instead.get(cause.members[k], ()))
         own = error.hypothesis.estimates[3 * k : 3 * k + 3]
         # Computed from the other points less given.
         d, sigma = -np.array([e.correction for e in own]), np.array([e.sigma for e in own])
@@ -314,13 +318,15 @@ def _mistyped(found: SystematicErrors, error: SystematicError, cause: Cause, sli
             "detectable_m": float(away * sigma.max()),
             "together": float(len(cause.members)),
             "same": rivals,
+            "instead": others,
         }
+        clauses = (*["same"] * bool(rivals), *["or-points"] * bool(others))
         worst = int(np.argmax(np.abs(d)))
         size = Size(float(d[worst]), "m", float(sigma[worst]))
         remedy, because = ("", "slip") if told else ("look-at-point", "")
         listed.append(
             Finding(
-                *("control-mistyped", "grave", point, figures, ("same",) * bool(rivals)),
+                *("control-mistyped", "grave", point, figures, clauses),
                 size=size,
                 cause=because,
                 remedy=remedy,

@@ -15,6 +15,7 @@ from photocal.base.policy import policy
 from photocal.geometry.camera import PARAMETERS
 from photocal.hypotheses.causes import Candidates, Cause, columns_of, common_columns, of_camera, points_of
 from photocal.hypotheses.control import control_points
+from photocal.hypotheses.system import Beyond
 
 _AXES = "XYZ"
 
@@ -89,21 +90,22 @@ def judge(
     these: Candidates,
     cause: Cause,
     others: Sequence[Cause],
-    before: tuple[float, int],
+    before: Beyond,
     families: int,
     stated: Stated,
 ) -> Hypothesis:
     """Test a cause beside others that are free already.
 
-    before: v'Pv and degrees of freedom with these.
+    before: equations of what may be added beside these.
     raises IllPosedError: when it cannot be separated from them.
     """
     solution = these.adjusted.solution
-    (fall_from, freedom), (after, left) = before, these.fall((*others, cause))
+    after, left = these.fall(before, others, cause)
     unknowns = max(cause.unknowns, 1)
-    gain = max(fall_from - after, 0.0)
+    gain = max(before.chi_squared - after, 0.0)
     # As many weak observations as unknowns came in: the degrees of freedom are those of the data.
-    freedom = max(min(freedom, left) - (0 if left < freedom else unknowns), 1)
+    had = before.degrees_of_freedom
+    freedom = max(min(had, left) - (0 if left < had else unknowns), 1)
     factor = after / freedom
     # Rays that are better than stated make positions and what was measured of the mounting no better.
     scale = factor if cause.field is not None else max(factor, 1.0, _scatter(solution, cause, gain))

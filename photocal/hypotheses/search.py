@@ -74,7 +74,8 @@ class SystematicErrors:
     explained: share of what v'Pv was too large by that is explained; NaN where it was not too large.
     memory: what neighbouring positions share.
     shared: equations of what images share, with all free that a cause may free.
-    undecided: control points whose being wrong and wrong sigmas of all control explain it equally well.
+    undecided: control points that are wrong, where other points, or wrong sigmas of all control, explain it
+        equally well.
     """
 
     tested: tuple[Hypothesis, ...]
@@ -134,24 +135,25 @@ def systematic_errors(
         straight, at_once = without or (first, None)
     given, gross = without_gross_rays(straight)
     done()
-    start, sigmas, against = given, dict[str, GroupTest](), None if at_once else _contradicted(given)
-    scaled = None if against is None else isinstance(against, WrongSigmas)
-    undecided = against if isinstance(against, Contradiction) and against.as_scale else None
-    if isinstance(against, WrongSigmas):
+    start, sigmas, these = given, dict[str, GroupTest](), candidates(given, table)
+    contradicted = None if at_once else _contradicted(given, these)
+    against = contradicted if isinstance(contradicted, Contradiction) else None
+    undecided = contradicted.rival if isinstance(contradicted, WrongSigmas) else against
+    if isinstance(contradicted, WrongSigmas):
         # What one factor explains is laid at no point's door.
-        undecided = against.rival
-        against, table = None, tuple(entry for entry in table if entry.each not in ("point", "pair"))
+        table = tuple(entry for entry in table if entry.each not in ("point", "pair"))
+    if contradicted is not None:
+        these = candidates(given, table, against)
     stated: Stated | None = None
     steps = dict[str, list[float]]()
     for _ in range(_SETTLING + 1):
-        these = candidates(given, table, against)
         before, shared = these.solved(())[0], these.whole.shared
         now = stated_of(before, given.network)
         larger = now.positions if stated is None else np.maximum(stated.positions, now.positions)
         stated = replace(stated or now, positions=larger)
         search = Selection(these, stated)
         alone = search.beside(())
-        wrong = _wrong_sigma(given, alone, steps, scaled=scaled)
+        wrong = _wrong_sigma(given, alone, steps, contradicted)
         if wrong is None or sum(map(len, steps.values())) == _SETTLING:
             break
         # Points are eliminated, with what is known of them: only an adjustment tells what their sigmas do.
@@ -164,6 +166,7 @@ def systematic_errors(
         known = sigmas.get(wrong.name) or _scaled(wrong, 1.0 / wrong.factor)
         sigmas[wrong.name] = _scaled(known, factor)
         given = _with_sigmas(given.network, wrong.name, factor, near)
+        these = candidates(given, table, against)
         done()
     accepted, search = _placed(search, search.chosen(alone), table, against)
     last, errors, confirmed = given, list[SystematicError](), list[Cause]()
@@ -273,8 +276,11 @@ def without_wrong_control(
     return fitted, SystematicError(told, (), cause)
 
 
-def _contradicted(given: AdjustedNetwork) -> Contradiction | WrongSigmas | None:
-    """Control points that contradict the others, where control does not fit at all."""
+def _contradicted(given: AdjustedNetwork, these: Candidates) -> Contradiction | WrongSigmas | None:
+    """Control points that contradict the others, where control does not fit at all.
+
+    It may fit as a group, and each point with it: two that err alike hide each other.
+    """
     control = next((test for test in groups_of_ground(given.solution) if test.name == "control"), None)
     rays = given.network.rays
     surveyed = np.isin(rays.point, control_points(given.network))
@@ -285,7 +291,9 @@ def _contradicted(given: AdjustedNetwork) -> Contradiction | WrongSigmas | None:
     # Of thousands of rays the largest residual is beyond any limit of a single one.
     limit = -special.ndtri(policy.significance / 2.0 / max(np.isfinite(w).sum(), 1))
     far = np.nanmax(np.abs(w), initial=0.0) > limit * np.sqrt(usual)
-    if not far and (control is None or control.p_value >= policy.significance or control.factor < 1.0):
+    alone = control is not None and control.p_value < policy.significance and control.factor >= 1.0
+    together = _disagrees(given, these)
+    if not (far or alone or together) or (together and _otherwise(given, these)):
         return None
     if of_rays < 1.0 and control is None:
         return None
@@ -293,17 +301,31 @@ def _contradicted(given: AdjustedNetwork) -> Contradiction | WrongSigmas | None:
     return None if seen is None else contradiction(seen)
 
 
+def _disagrees(given: AdjustedNetwork, these: Candidates, causes: Sequence[Cause] = ()) -> bool:
+    """Whether control contradicts itself, whatever group and points say, with some causes free."""
+    fall, count = these.of_control(causes)
+    scale = max(given.solution.variance_factor, 1.0)
+    return count > 0 and float(special.chdtrc(count, fall / scale)) < policy.significance
+
+
+def _otherwise(given: AdjustedNetwork, these: Candidates) -> bool:
+    """Whether the most probable cause outside of control leaves nothing that contradicts itself there."""
+    tries = Selection(these, stated_of(these.solved(())[0], given.network)).beside(())
+    others = [c for c, one in tries.items() if one.significant and c.fault.each not in ("point", "pair")]
+    if not others:
+        return False
+    return not _disagrees(given, these, (max(others, key=lambda cause: tries[cause].value),))
+
+
 def _wrong_sigma(
     given: AdjustedNetwork,
     tries: dict[Cause, Hypothesis],
     steps: dict[str, list[float]],
-    *,
-    scaled: bool | None,
+    contradicted: Contradiction | WrongSigmas | None,
 ) -> GroupTest | None:
     """Choose the group whose stated sigmas are wrong, rather than a cause.
 
-    scaled: whether those of control are, as its differences say; False where these say that points are
-        wrong, None where they say neither.
+    contradicted: what the differences of control say of it.
 
     A factor is one unknown, and gains likelihood where all residuals of a group are too large or too small;
     an error competes with it (Schwarz 1978). Too small residuals no error explains, and those of positions
@@ -318,18 +340,24 @@ def _wrong_sigma(
     memory = memory_of(given)
     wrong = []
     groups = [one for one in group_tests(given.network, given.solution) if one.name in _STATED]
+    stretched = contradicted if isinstance(contradicted, WrongSigmas) else None
+    of_points = isinstance(contradicted, Contradiction) and not contradicted.as_scale
     for test in groups:
         # Once it is known to be wrong, its factor settles.
         if test.name in steps:
             if abs(test.factor - 1.0) > _SETTLED:
                 return test
             continue
-        if test.p_value >= policy.significance or abs(test.factor - 1.0) < policy.wrong_sigma:
+        preferred = stretched is not None and test.name in CONTROL
+        # The differences of control have tested it before.
+        before = stretched is not None and test.name == stretched.group
+        if (test.p_value >= policy.significance and not before) or abs(
+            test.factor - 1.0
+        ) < policy.wrong_sigma:
             continue
-        if scaled is False and test.name in CONTROL:
+        if of_points and test.name in CONTROL:
             continue
         too_large = test.chi_squared - test.redundancy
-        preferred = scaled and test.name in CONTROL
         unknown = of_control if test.name in CONTROL else of_all
         if (
             not preferred

@@ -10,6 +10,7 @@ from photocal.base.policy import policy
 from photocal.hypotheses.agreement import agreed
 from photocal.hypotheses.causes import Candidates, Cause
 from photocal.hypotheses.judged import Hypothesis, Stated, judge
+from photocal.hypotheses.system import Beyond
 from photocal.hypotheses.table import Fault
 
 # Causes that are accepted beside each other in one system.
@@ -57,7 +58,7 @@ class Selection:
         )
         self._agreed = dict[tuple[str, str], bool]()
         self._known = dict[tuple[object, ...], Hypothesis | None]()
-        self._before = dict[tuple[object, ...], tuple[float, int]]()
+        self._before = dict[tuple[object, ...], Beyond]()
         self.refused = dict[str, str]()
 
     def beside(self, accepted: tuple[Cause, ...]) -> dict[Cause, Hypothesis]:
@@ -150,7 +151,7 @@ class Selection:
             return self._known[key]
         tested: Hypothesis | None
         try:
-            before = self._before[beside] if beside in self._before else self.these.fall(others)
+            before = self._before[beside] if beside in self._before else self.these.beyond(others)
             self._before[beside] = before
             tested = judge(self.these, cause, others, before, self._families, self.stated)
         except IllPosedError as refusal:

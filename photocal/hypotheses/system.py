@@ -41,6 +41,39 @@ class Added:
 
 
 @dataclass(frozen=True)
+class Beyond:
+    """Equations of unknowns that may be added, all else eliminated.
+
+    matrix (e, e), right (e,): as of `System`.
+    chi_squared, degrees_of_freedom: without them.
+    """
+
+    matrix: Floats
+    right: Floats
+    chi_squared: float
+    degrees_of_freedom: int
+
+    def freed(self, added: Sequence[int]) -> tuple[float, int]:
+        """Give v'Pv and degrees of freedom with some of them.
+
+        raises IllPosedError: when they cannot be separated.
+        """
+        at = list(added)
+        try:
+            fall = float(self.right[at] @ np.linalg.solve(self.matrix[np.ix_(at, at)], self.right[at]))
+        except np.linalg.LinAlgError:
+            raise IllPosedError("the observations do not determine what is common to all images") from None
+        return self.chi_squared - fall, self.degrees_of_freedom - len(at)
+
+    def moved(self, added: Sequence[int], amounts: Sequence[float]) -> "Beyond":
+        """Give the same beside known amounts of some of them."""
+        at, by = list(added), np.array(amounts)
+        pull = self.matrix[:, at] @ by
+        chi_squared = self.chi_squared + float(by @ pull[at] - 2.0 * by @ self.right[at])
+        return replace(self, right=self.right - pull, chi_squared=chi_squared)
+
+
+@dataclass(frozen=True)
 class System:
     """The equations of what images share (`shared`), and of what is added behind it.
 
@@ -79,6 +112,25 @@ class System:
             chosen,
             self.shared.chi_squared - there.chi_squared + here.chi_squared,
             self.shared.degrees_of_freedom + here.redundancy - there.redundancy - len(extra),
+        )
+
+    def beyond(self, here: Observed, added: Sequence[int] | Integers) -> Beyond:
+        """Equations of what may be added when all that is shared, and some of what is added, is eliminated.
+
+        raises IllPosedError: when the equations of these are singular.
+        """
+        matrix, right, chosen, chi_squared, freedom = self.equations(here, added)
+        across = self.matrix[chosen, self.border :]
+        try:
+            follow = np.linalg.solve(matrix, np.column_stack([across, right]))
+        except np.linalg.LinAlgError:
+            raise IllPosedError("the observations do not determine what is common to all images") from None
+        step = follow[:, -1]
+        return Beyond(
+            self.matrix[self.border :, self.border :] - across.T @ follow[:, :-1],
+            self.right[self.border :] - across.T @ step,
+            chi_squared - float(right @ step),
+            freedom,
         )
 
     def solved(self, here: Observed, added: Sequence[int] | Integers = ()) -> tuple[Shared, Floats, Floats]:
@@ -205,14 +257,3 @@ def loosened(camera: Camera, parameters: dict[int, float]) -> Camera:
     for k, prior in parameters.items():
         estimated[k], sigma[k] = True, prior
     return replace(camera, estimated=estimated, prior_sigma=sigma)
-
-
-def chi_squared_of(matrix: Floats, right: Floats, chi_squared: float) -> float:
-    """Give v'Pv at the minimum of small equations.
-
-    raises IllPosedError: when they are singular.
-    """
-    try:
-        return chi_squared - float(right @ np.linalg.solve(matrix, right))
-    except np.linalg.LinAlgError:
-        raise IllPosedError("the observations do not determine what is common to all images") from None

@@ -8,6 +8,7 @@ from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
 from photocal.analysis.estimates import Components, FTest
 from photocal.analysis.outcome import Analysis, CameraAnalysis, Effect, Opinions
 from photocal.analysis.published import PublishedSet
+from photocal.analysis.shutters import OF_SHUTTERS
 from photocal.base.arrays import Floats
 from photocal.findings.digits import Number, power_of_ten, symbol
 from photocal.findings.document import Column, Paragraph, Piece, Section, TablePart, columns, said_table
@@ -25,7 +26,8 @@ def hidden_errors(run: AnalysedRun, say: Catalogue) -> Section:
     if run.analysis is None:
         return Section(title, (Paragraph(say("analysis.not_made")),))
     pieces: list[Piece] = [Paragraph(say("analysis.hidden_text"))]
-    findings = run.analysis.findings
+    # What an adjustment estimates is not hidden.
+    findings = [finding for finding in run.analysis.findings if finding.code not in OF_SHUTTERS]
     if findings:
         rows = (
             (say("analysis.small" if finding.small else "analysis.large"), finding_text(finding, say))
@@ -209,9 +211,11 @@ def calibrated(run: AnalysedRun, say: Catalogue) -> list[Section]:
 
 def analysed(run: AnalysedRun, say: Catalogue) -> list[Section]:
     """Everything that is known of a run by its analysis."""
-    sections, analysis = [hidden_errors(run, say)], run.analysis
+    hidden, analysis = hidden_errors(run, say), run.analysis
     if analysis is None:
-        return sections
+        return [hidden]
+    told = (finding_text(one, say) for one in analysis.findings if one.code in OF_SHUTTERS)
+    sections = [replace(hidden, pieces=(*hidden.pieces, *map(Paragraph, told)))]
     for name, camera in run.result.cameras.items():
         if analysis.cameras[name] is not None:
             section = parameters(f"{say('analysis.parameters')}: {name}", name, run, analysis, say)

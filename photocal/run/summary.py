@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from photocal.analysis.accuracy.classes import condition
+from photocal.analysis.shutters import shutter_findings
 from photocal.base.arrays import as_plain
 from photocal.base.policy import policy
 from photocal.block.model import InputFile
@@ -117,8 +118,9 @@ def project_findings(work: Path) -> tuple[Finding, ...]:
     certified = read_json(work / "certificate" / "certificate.json")
     verdict = None if certified is None else read_verdict(certified["verdict"], work / "certificate")
     analysed = work / "analysis" / "analysis.json"
-    found = Findings.read(analysed).listed if analysed.is_file() else ()
     gathered, run = gather(work), work / "calibration"
+    listed = Findings.read(analysed).listed if analysed.is_file() else ()
+    found = (one for one in listed if not any(same_matter(one, other) for other in gathered))
     adjusted = [tested(read_result(run), gathered)] if (run / RESULT).is_file() else []
     # What a certificate derives beside, its lines tell.
     lines = () if verdict is None else verdict.lines
@@ -188,16 +190,7 @@ def _of_calibration(path: Path) -> Iterator[Finding]:
 
 def calibration_findings(result: Result) -> Iterator[Finding]:
     """Shutters that roll, and parameters that left what was known of them: something else went into them."""
-    for readout in result.readouts:
-        if readout.estimated:
-            effect_px = readout.effect / result.cameras[readout.camera].pitch[0]
-            figures = {"camera": readout.camera, "effect_px": effect_px, "way_m": readout.way}
-            figures |= {"value_ms": 1e3 * readout.value, "sigma_ms": 1e3 * readout.sigma}
-            yield Finding("shutter-rolls", "note", readout.camera, figures)
-    for name, camera in result.cameras.items():
-        if camera.shake:
-            figures = {"camera": name, "effect_px": camera.shaken / camera.pitch[0]}
-            yield Finding("images-shake", "note", name, figures)
+    yield from shutter_findings(result.cameras, result.readouts)
     for name, camera in result.cameras.items():
         if camera.stated_by:
             # What contradicts a maker's tag says something about the tag.

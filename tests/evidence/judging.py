@@ -98,7 +98,7 @@ def told_by_check(content: dict[str, Any]) -> str:
 
 def rivals(figures: Mapping[str, Any]) -> str:
     """Codes of what a flight cannot tell from a finding, separated by commas."""
-    said = (*(figures.get("same") or ()), *(figures.get("alike") or ()))
+    said = [one for key in ("same", "alike", "instead") for one in figures.get(key) or ()]
     return ",".join(str(one).partition(" ")[0] for one in said)
 
 

@@ -17,7 +17,7 @@ NO_CAUSES = (
     *("global-factor", "method-refused", "not-separated", "not-determined", "no-check-points", "no-control"),
     "strips-without-control",
     *("coarse-positions", "c-on-positions", "heights-on-positions", "small-sample", "single-check-point"),
-    *("bias", "outliers", "not-normal", "c-bias", "significance", "jackknife", "not-explained"),
+    *("bias", "outliers", "not-normal", "c-bias", "significance", "jackknife", "unexplained"),
 )
 RANK = ("refused", "grave", "doubtful", "consequence", "note", "passed", "untested")
 HARSH = RANK[:3]
@@ -116,9 +116,12 @@ def read_rows(path: Path) -> list[Row]:
 def named_or_rival(fault: Fault, row: Row, command: str) -> bool:
     """Whether the first cause is the fault, or says that the flight cannot tell it from the fault."""
     named = row.causes(command)
-    return named_first(fault, row, command) or bool(
-        named and set(fault.names) & set(named[0].rivals.split(","))
-    )
+    return named_first(fault, row, command) or bool(named and says_rival(fault, named[0]))
+
+
+def says_rival(fault: Fault, told: Told) -> bool:
+    """Whether a finding says that the flight cannot tell it from the fault: from its kind, or its points."""
+    return bool({*fault.names, *fault.subjects} & set(told.rivals.split(",")))
 
 
 def named_first(fault: Fault, row: Row, command: str) -> bool:
@@ -135,11 +138,12 @@ def named_first(fault: Fault, row: Row, command: str) -> bool:
 
 
 def accused(fault: Fault, row: Row, command: str, harsh: tuple[str, ...] = HARSH) -> list[Told]:
-    """Give what is named although it is sound."""
+    """Give what is named although it is sound, and is no reservation with the fault as its rival."""
     return [
         one
         for one in row.causes(command)
         if one.severity in harsh
+        and not (one.severity == "doubtful" and says_rival(fault, one))
         and (
             one.code not in fault.names
             or (fault.subjects and not set(_words(one.subject)) & set(fault.subjects))

@@ -15,6 +15,7 @@ from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.analysis.georeferencing.causes import Separation, by_navigation_fixes
 from photocal.analysis.georeferencing.comparison import BlockCheck, Differences, Judged
 from photocal.analysis.georeferencing.methods import Georeferenced, Method
+from photocal.analysis.shutters import shutters_of
 from photocal.base.arrays import Integers
 from photocal.base.policy import policy
 from photocal.block.model import Block
@@ -128,6 +129,7 @@ def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
     adjusted = next((one.result for one in check.judged if one.result.method != "direct"), None)
     if adjusted is not None:
         listed += strip_findings(check.block, adjusted, _target(check))
+        listed += () if adjusted.adjusted is None else shutters_of(adjusted.adjusted)
     return (*listed, *_refused(check))
 
 

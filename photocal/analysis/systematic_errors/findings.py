@@ -281,8 +281,9 @@ def of_stated(search: Search) -> list[Finding]:
         if group.factor < 1.0 and group.name == "position" and memory is not None and memory.likely:
             # Positions that share their errors look better than they are.
             continue
-        # What is known beforehand is stated with caution: no error of measurement says otherwise.
-        if group.factor < 1.0 and group.name in ("camera", "mounting", "head", "rig"):
+        # What is known beforehand is stated with caution, and so is how much an image may move while it is
+        # read: no error of measurement says otherwise.
+        if group.factor < 1.0 and group.name in ("camera", "mounting", "head", "rig", "motion"):
             continue
         found = stated_sigma(group)
         if group.name == "motion" or (group.name == "exposure" and by_navigation_fixes(search.first.network)):

@@ -91,7 +91,7 @@ def test_a_wrong_observation_is_predicted(block: Block, kind: str) -> None:
     lever = next(cause for cause in given.causes if cause.fault.code == "lever-arm")
     network = assemble(block).network
     for beside in ((), (lever,)):
-        chi_squared, freedom = given.fall((*beside, cause))
+        chi_squared, freedom = given.fall(given.beyond(beside), beside, cause)
         cameras, mounting = freed(network, beside)
         without = replace(network, cameras=cameras, mounting=mounting)
         if kind == "position":

@@ -152,7 +152,7 @@ def test_an_extra_parameter_is_estimated_as_the_adjustment_would() -> None:
     network = noisy(convergent(model="brown-ideal"), 10)
     fitted = fit(network)
     these, radial = radial_of(candidates(fitted))
-    chi_squared, freedom = these.fall((radial,))
+    chi_squared, freedom = these.fall(these.beyond(()), (), radial)
     ((amount,), ((variance,),)) = these.solved((radial,))[1][radial.key]
     at = 5
     own = network.cameras[0]
@@ -291,7 +291,7 @@ def test_what_each_image_has_otherwise_is_no_missing_term(networks: dict[str, Si
     network = noisy(made, 17, made.exact - amount[image, None] * x * np.sum(x**2, axis=1, keepdims=True) ** 3)
     fitted = fit(network)
     these, radial = radial_of(candidates(fitted))
-    chi_squared, freedom = these.fall((radial,))
+    chi_squared, freedom = these.fall(these.beyond(()), (), radial)
     f = (fitted.solution.chi_squared - chi_squared) / (chi_squared / freedom)
     assert stats.f.sf(f, 1, freedom) < 1e-6
     codes = {one.code for one in findings(search(causes_in(fitted)))}

@@ -2,11 +2,28 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import photocal
+from photocal.adjustment.adjusted import fit
 from photocal.base.arrays import Floats
-from photocal.hypotheses.control import Contradiction, Predicted, WrongSigmas, contradiction, slips
+from photocal.block.network import assemble
+from photocal.hypotheses.causes import candidates
+from photocal.hypotheses.control import (
+    Contradiction,
+    Predicted,
+    WrongSigmas,
+    contradiction,
+    misfit,
+    predicted,
+    slips,
+)
+from tests.evidence.judging import fly
+from tests.independent.faults import BASE, CLEAN
+from tests.independent.flights import Design, Errors
 
 N, SURVEY, IMAGES = 9, 0.01, 0.02
 
@@ -24,6 +41,24 @@ def seen(rng: np.random.Generator, wrong: dict[int, Floats], factor: float = 1.0
     return Predicted(
         np.arange(N), computed - given, covariance, common, given, np.tile(SURVEY**2 * np.eye(3), (N, 1, 1))
     )
+
+
+@pytest.mark.parametrize(
+    ("design", "in_common"), [(BASE, 3), (next(d for d in CLEAN if d.name == "control alone"), 7)]
+)
+def test_what_control_contradicts_is_known_without_an_adjustment_more(
+    tmp_path: Path, design: Design, in_common: int
+) -> None:
+    """By the factors of the block with its control as by an adjustment without it; without positions a turn
+    and a scale of all points are free, too.
+    """
+    flown = fly(tmp_path / "block", design, Errors(control=((1, (0.0, 0.0, 0.1)),)), 1)
+    given = fit(assemble(photocal.read_block(flown.folder)).network)
+    fall, count = candidates(given).of_control()
+    seen = predicted(given.network, given.state)
+    assert seen is not None
+    assert count == 3 * design.control - in_common
+    assert fall == pytest.approx(misfit(seen.d, seen.covariance, seen.common, ()), rel=0.01)
 
 
 def test_points_that_agree_contradict_nobody() -> None:

@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import photocal
+from photocal.analysis.analyse_run import analyse_run
+from photocal.analysis.georeferencing.output import to_json
 from photocal.base.errors import InputMalformedError
+from photocal.findings.document import text
 from photocal.findings.finding import Finding, Severity
 from photocal.findings.texts import catalogue, finding_text
+from photocal.findings.verdict import every_line
 from photocal.hypotheses.faults import FAULTS
-from photocal.run.summary import gather, kind
+from photocal.report.analysis_sections import analysed, hidden_errors
+from photocal.report.stored_analysis import read_run
+from photocal.run.summary import gather, kind, project_findings
+from tests.evidence.judging import fly
+from tests.independent.faults import ROLLING
+from tests.independent.flights import Errors
 
 PPK = {"fixed_percent": 100.0, "findings": []}
 FILES = {"ppk": "ppk.json", "exposures": "exposures.json", "measurements": "measurement.json"}
@@ -46,6 +57,24 @@ def test_stages_that_were_not_made_say_nothing(tmp_path: Path) -> None:
 def test_a_fault_is_said_once(tmp_path: Path) -> None:
     ppk = {"fixed_percent": 36.0, **told("ppk-not-fixed")}
     assert [one.stage for one in gathered(tmp_path, ppk=ppk, exposures=told("ppk-not-fixed"))] == ["ppk"]
+
+
+def test_a_readout_that_was_estimated_is_said_once(tmp_path: Path) -> None:
+    """Adjustment, check and analysis all tell of it; a certificate has it beside the camera's values."""
+    flown = fly(tmp_path / "block", ROLLING, Errors(readout_s=0.015), 0).folder
+    work, block = tmp_path / "work", photocal.read_block(flown)
+    photocal.write_result(work / "calibration", photocal.adjust(block))
+    shutil.copytree(work / "calibration", work / "analysis")
+    analyse_run(work / "analysis", flown)
+    (work / "georeferencing").mkdir()
+    (work / "georeferencing" / "check.json").write_text(json.dumps(to_json(photocal.check(block))))
+    told = [(one.stage, one.severity) for one in gather(work) if one.code == "shutter-rolls"]
+    assert told == [("calibration", "note")]
+    lines = [line.worst for line in every_line(project_findings(work))]
+    assert [one.stage for one in lines if one.code == "shutter-rolls"] == ["calibration"]
+    run, say = read_run(work / "analysis"), catalogue("en")
+    assert "rolling shutter" not in text([hidden_errors(run, say)])
+    assert text(analysed(run, say)).count("rolling shutter, lines read in") == 1
 
 
 def test_findings_of_another_version_are_refused_with_the_remedy(tmp_path: Path) -> None:
