@@ -10,6 +10,7 @@ import numpy as np
 
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
+from photocal.adjustment.envelope import on_one_thread
 from photocal.adjustment.factored import Factored, factorised
 from photocal.adjustment.groups import Member
 from photocal.adjustment.mounting import Attitudes, Positions
@@ -75,6 +76,7 @@ def fit(network: Network, state: State | None = None) -> AdjustedNetwork:
     return AdjustedNetwork(network, minimum.state, complete(at, minimum.iterations), at)
 
 
+@on_one_thread
 def at_minimum(network: Network, solution: Solution) -> AdjustedNetwork:
     """Factorise the equations of an adjusted network again; a free one has the datum of its start values."""
     problem = with_datum(prepare(network), start_state(network))

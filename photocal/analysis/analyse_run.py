@@ -31,7 +31,7 @@ from photocal.base.policy import policy
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock, assemble, block_frame
-from photocal.block.results.adjusted import adjust_network, network_of, state_of
+from photocal.block.results.adjusted import adjustment_of, known_adjustment, network_of, state_of
 from photocal.block.results.folder import RESULT, block_of_run, read_result
 from photocal.block.results.result import Result
 from photocal.findings.finding import Finding
@@ -118,8 +118,12 @@ def analyse_block(
     raises IllPosedError, NotConvergedError: when something else than control hinders it.
     """
     # Shutters, lags and what was rejected are those that an adjustment ends with.
-    with suppress(IllPosedError, NotConvergedError):
-        result = result or adjust_network(block)
+    adjusted = None if result is None else known_adjustment(block, result)
+    if result is None:
+        with suppress(IllPosedError, NotConvergedError):
+            adjusted = adjustment_of(block)
+    if adjusted is not None:
+        return analyse_searched(SearchedBlock(adjusted), alpha, threshold, done, draws)
     assembly = assemble(block) if result is None else network_of(block, result)
     checks, start = checks_of(block, assembly), None if result is None else state_of(assembly, result)
     slips = slips_of(block, assembly)
@@ -127,12 +131,17 @@ def analyse_block(
     return outcome if result is None else with_shutters_told(outcome, result)
 
 
-def analyse_searched(searched: SearchedBlock, done: Callable[[float], None] = lambda _: None) -> Outcome:
-    """Analyse an adjusted block at the levels of `policy`, with the causes that were looked for in it."""
+def analyse_searched(
+    searched: SearchedBlock,
+    alpha: float = policy.parameter_significance,
+    threshold: float = policy.strong_correlation,
+    done: Callable[[float], None] = lambda _: None,
+    draws: int = 0,
+) -> Outcome:
+    """Analyse an adjusted block with the causes that were looked for in it; see `analyse_block`."""
     block, assembly = searched.adjusted.block, searched.adjusted.assembly
     checks, slips = checks_of(block, assembly), slips_of(block, assembly)
-    levels = policy.parameter_significance, policy.strong_correlation
-    outcome = analyse_adjusted(searched.causes, checks, *levels, done, slips=slips)
+    outcome = analyse_adjusted(searched.causes, checks, alpha, threshold, done, draws, slips)
     return with_shutters_told(outcome, searched.adjusted.result)
 
 

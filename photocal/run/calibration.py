@@ -73,7 +73,7 @@ def analysis_stage(block: Path, calibration: Path, calibrated: Calibrated) -> St
             calibration, folder, dirs_exist_ok=True, ignore=lambda *_: [RECORD], copy_function=shutil.copyfile
         )
         with show("analysis", 1.0) as done:
-            outcome = analyse_searched(made, done)
+            outcome = analyse_searched(made, done=done)
         write_analysis(folder, outcome, made.adjusted.block, made.adjusted.result)
 
     return Stage("analysis", "hidden errors, significance, correlations", make, after=(block, calibration))

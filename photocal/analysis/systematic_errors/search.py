@@ -10,6 +10,7 @@ import numpy as np
 from scipy import special
 
 from photocal.adjustment.adjusted import AdjustedNetwork, fit, with_sigmas
+from photocal.adjustment.envelope import on_one_thread
 from photocal.adjustment.groups import GroupTest, group_tests
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
@@ -241,6 +242,7 @@ def by_navigation_fixes(network: Network) -> bool:
     return coarsely_placed(network.exposures.sigma[:, 3:], otherwise=otherwise)
 
 
+@on_one_thread
 def causes_in(
     first: AdjustedNetwork,
     at_once: SystematicError | None = None,

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from weakref import finalize, ref
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -60,6 +61,8 @@ from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, t
 
 NOTHING_MORE = Wanted()
 Report = Callable[[Iteration], None]
+# What adjustments of this process ended with, by the identity of their results, as long as these are in use.
+_ENDED = dict[int, tuple[ref[Block], NetworkOfBlock, Solution]]()
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,15 @@ class AdjustedBlock:
     def minimum(self) -> AdjustedNetwork:
         """The network at its minimum, with its factored equations."""
         return at_minimum(self.assembly.network, self.solution)
+
+
+def known_adjustment(block: Block, result: Result) -> AdjustedBlock | None:
+    """Give what a block was adjusted to in this process; None for a result that was read, or is another's."""
+    ended = _ENDED.get(id(result))
+    if ended is None or ended[0]() is not block:
+        return None
+    _, assembly, solution = ended
+    return AdjustedBlock(block, assembly, solution, result)
 
 
 def result_of(
@@ -524,6 +536,8 @@ def adjustment_of(
         components = weighed.components
     result = result_of(block, assembly, solution, snooping=snooping, components=components)
     result = replace(result, **more_figures(block, assembly, result.points, wanted))
+    _ENDED[id(result)] = ref(block), assembly, solution
+    finalize(result, _ENDED.pop, id(result), None)
     return AdjustedBlock(block, assembly, solution, result)
 
 

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import photocal
 from photocal.adjustment.adjusted import fit
+from photocal.adjustment.ledger import ledger
 from photocal.analysis.analyse_run import analyse_run
 from photocal.analysis.estimates import quadratic_form, without
 from photocal.analysis.left_out import Checks, left_out
@@ -170,3 +172,22 @@ def test_left_out_is_adjusting_without_it(dcs460_block: Path) -> None:
 def test_help_names_the_formats() -> None:
     done = CliRunner().invoke(app, ["analyse", "--help"])
     assert done.exit_code == 0
+
+
+def test_what_was_adjusted_here_is_analysed_as_what_was_read(tmp_path: Path, dcs460_block: Path) -> None:
+    """A block that this process has adjusted is not adjusted again; figures are those of a result that was read."""
+    block = read_block(dcs460_block)
+    result = photocal.adjust(block)
+    result.write(tmp_path / "run")
+    with ledger() as made:
+        here = photocal.analyse(block, result)
+    assert [entry.reason for entry in made if "calibrated" in entry.reason] == []
+    read = photocal.analyse(block, photocal.Result.read(tmp_path / "run"))
+    other = photocal.analyse(read_block(dcs460_block), result)
+    for one in (read, other):
+        assert [finding.code for finding in one.findings] == [finding.code for finding in here.findings]
+        for mine, yours in zip(here.cameras.values(), one.cameras.values(), strict=True):
+            assert mine is not None
+            assert yours is not None
+            for test, same in zip(mine.significance, yours.significance, strict=True):
+                assert test.statistic == pytest.approx(same.statistic, rel=1e-6)
