@@ -72,7 +72,7 @@ def test_two_points_in_height_are_named_or_stand_beside_the_sigmas(seed: int) ->
         assert named_or_rival(fault, row, command)
         first = row.causes(command)[0]
         assert first.severity == "doubtful"
-        assert {first.code, first.rivals} == {"control-mistyped", "sigmas-too-small"}
+        assert {first.code, *first.rivals.split(",")} >= {"control-mistyped", "sigmas-too-small"}
 
 
 def test_a_survey_that_is_worse_as_a_whole_is_no_single_points(tmp_path: Path) -> None:
