@@ -175,7 +175,7 @@ def test_help_names_the_formats() -> None:
 
 
 def test_what_was_adjusted_here_is_analysed_as_what_was_read(tmp_path: Path, dcs460_block: Path) -> None:
-    """A block that this process has adjusted is not adjusted again; figures are those of a result that was read."""
+    """A block that was adjusted here is not adjusted again; figures are those of a result that was read."""
     block = read_block(dcs460_block)
     result = photocal.adjust(block)
     result.write(tmp_path / "run")
