@@ -6,7 +6,7 @@
 import json
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -124,17 +124,29 @@ def run(
 
     from photocal.findings.texts import catalogue, spoken
     from photocal.run.campaign import run_projects
-    from photocal.run.summary import summary_text
+    from photocal.run.summary import certificate_line, summary_text
 
     say = catalogue(spoken(language))
     day = dt.datetime.now().astimezone().date()
-    figures = run_projects(
-        projects, day, until, again, rehash, workers, cluster, one_bar(as_json, progress_words(say))
-    )
+    judged = list[str]()
+
+    def tell(figure: dict[str, Any]) -> None:
+        """Say a verdict to a person, who need not wait for the certificate."""
+        judged.append(figure["work"])
+        answer(False, lambda: figure, lambda: summary_text(figure, say, details=details))
+
+    bar = one_bar(as_json, progress_words(say))
+    told = (lambda _: None) if as_json else tell
+    figures = run_projects(projects, day, until, again, rehash, workers, cluster, bar, told)
     answer(
         as_json,
         lambda: figures[0] if len(projects) == 1 else figures,
-        lambda: "\n\n".join(summary_text(figure, say, details=details) for figure in figures),
+        lambda: "\n\n".join(
+            certificate_line(figure, say)
+            if figure["work"] in judged
+            else summary_text(figure, say, details=details)
+            for figure in figures
+        ),
     )
 
 

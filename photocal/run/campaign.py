@@ -15,7 +15,7 @@ from photocal.base.progress import Bar, Progress, quiet, unseen
 from photocal.block.folder import read_block
 from photocal.block.project import Project, read_project
 from photocal.findings.texts import catalogue, finding_text, plain
-from photocal.findings.verdict import by_methods
+from photocal.findings.verdict import Verdict, by_methods
 from photocal.run.block import block_stage, given_block_stage
 from photocal.run.calibration import analysis_stage, calibrated_once, calibration_stage, certificate_stage
 from photocal.run.control import control_stage
@@ -44,6 +44,7 @@ from photocal.run.stage import (
     Stage,
     StageResult,
     alone,
+    draw_pictures,
     foreseen,
     last_seconds,
     made_in,
@@ -55,11 +56,15 @@ from photocal.run.summary import gather, kind, summary
 PROGRESS = "progress.json"
 # Of our stages, whether a project has them or not.
 _NAMES = ("control", "ppk", "exposures", "measurements", "flown", "certificate")
+# What is said of the pictures of all stages while they are drawn.
+_PICTURES = "pictures"
 Task = tuple[Path, dt.date, str | None, str | None, bool]
 
 
-def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
-    """List the stages of a project."""
+def stages(
+    project: Project, day: dt.date, judged: Callable[[Verdict], None] = lambda _: None
+) -> tuple[Stage, ...]:
+    """List the stages of a project; `judged` gets its verdict before a certificate of it is written."""
     work = made_in(project.output)
     block, calibration = work / "block", work / "calibration"
     # A block is complete before it is read, once for all stages.
@@ -88,7 +93,8 @@ def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
         analysis_stage(block, calibration, calibrated),
     )
     made = (*made, *_added(project, work, {stage.name for stage in made}))
-    return (*made, certificate_stage(project, work, day, tuple(work / stage.name for stage in made)))
+    earlier = tuple(work / stage.name for stage in made)
+    return (*made, certificate_stage(project, work, day, earlier, judged))
 
 
 def _added(project: Project, work: Path, before: Container[str]) -> Iterator[Stage]:
@@ -111,14 +117,17 @@ def run_project(
     rehash: bool = False,
     report: Callable[[StageResult], None] = lambda _: None,
     bar: Bar = unseen,
+    judged: Callable[[Verdict], None] = lambda _: None,
 ) -> tuple[StageResult, ...]:
-    """Bring the stages of a project up to date.
+    """Bring the stages of a project up to date; their pictures are drawn last.
 
+    report: gets each stage, and once more where drawing its pictures had to leave files of others.
     progress: shows each piece of work by itself; bar: the whole run.
+    judged: gets the verdict as soon as it is known, where it is another than that of the last certificate.
     raises PhotocalError: as the first stage that fails does; the stages that do not need it are made
         nevertheless, for they may tell why.
     """
-    wanted = stages(project, day)
+    wanted = stages(project, day, judged)
     names = [stage.name for stage in wanted]
     for option, name in (("--until", until), ("--again", again)):
         if name is not None and name not in names:
@@ -163,6 +172,8 @@ def run_project(
                 except PhotocalError as refusal:
                     failure = failure or refusal
                 missing.add(made_in(project.output) / stage.name)
+            refused = _draw(made, project.output, digests, course, report)
+            failure = failure or refused
         finally:
             digests.keep()
     with suppress(OSError):
@@ -170,6 +181,29 @@ def run_project(
     if failure is not None:
         raise explained(project, failure) from failure
     return tuple(made)
+
+
+def _draw(
+    made: list[StageResult],
+    output: Path,
+    digests: Digests,
+    course: Course,
+    report: Callable[[StageResult], None],
+) -> PhotocalError | None:
+    """Draw the pictures that stages have left for now; gives the first refusal."""
+    failure: PhotocalError | None = None
+    for k, result in enumerate(made):
+        if result.pictures is None:
+            continue
+        course.begin(_PICTURES)
+        try:
+            with system_refusals(), course.progress(_PICTURES, None):
+                made[k] = draw_pictures(result, output, digests)
+        except PhotocalError as refusal:
+            failure = failure or refusal
+        if not set(made[k].foreign) <= set(result.foreign):
+            report(made[k])
+    return failure
 
 
 def _compile_first(course: Course) -> None:
@@ -208,9 +242,11 @@ def run_projects(
     workers: int = 1,
     cluster: str | None = None,
     bar: Bar = unseen,
+    told: Callable[[dict[str, Any]], None] = lambda _: None,
 ) -> list[dict[str, Any]]:
     """Run projects, which do not depend on each other.
 
+    told: as of `run_one`, for projects that run in this process.
     raises PhotocalError: of the first project that failed, when the others have ended.
     """
     # All are read first: a mistake in the last file should not wait for hours.
@@ -222,12 +258,12 @@ def run_projects(
             raise ConfigurationError(
                 "two projects have the same output", "give each its own folder", where=paths[k]
             )
-    for project, told in zip(projects, outside, strict=True):
-        if told:
-            _say(f"{project.name}: {told}")
+    for project, remark in zip(projects, outside, strict=True):
+        if remark:
+            _say(f"{project.name}: {remark}")
     tasks: list[Task] = [(path.resolve(), day, until, again, rehash) for path in paths]
     if cluster is None and (workers == 1 or len(tasks) == 1):
-        outcomes = [_outcome(task, _say, bar) for task in tasks]
+        outcomes = [_outcome(task, _say, bar, told) for task in tasks]
     else:
         from photocal.base.workers import Cluster, run_tasks
 
@@ -255,10 +291,15 @@ def _elsewhere(task: Task) -> tuple[Outcome, list[str]]:
     return _outcome(task, lines.append), lines
 
 
-def _outcome(task: Task, say: Callable[[str], None], bar: Bar = unseen) -> Outcome:
+def _outcome(
+    task: Task,
+    say: Callable[[str], None],
+    bar: Bar = unseen,
+    told: Callable[[dict[str, Any]], None] = lambda _: None,
+) -> Outcome:
     try:
         with system_refusals():
-            return run_one(*task, say=say, bar=bar), None
+            return run_one(*task, say=say, bar=bar, told=told), None
     except PhotocalError as failure:
         return {}, failure
 
@@ -272,15 +313,20 @@ def run_one(
     progress: Progress = quiet,
     say: Callable[[str], None] = _say,
     bar: Bar = unseen,
+    told: Callable[[dict[str, Any]], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Run one project and give its figures; raises PhotocalError as `run_project` does."""
+    """Run one project and give its figures; raises PhotocalError as `run_project` does.
+
+    told: gets the figures with a new verdict before certificate and pictures are made.
+    """
     project = read_project(path)
     made: list[StageResult] = []
 
     def report(result: StageResult) -> None:
         """Keep a stage's result and say it in a line."""
-        made.append(result)
-        say(f"{project.name}: {result.name}: " + ("kept" if result.kept else f"{result.seconds:.1f} s"))
+        if result.name not in {known.name for known in made}:
+            made.append(result)
+            say(f"{project.name}: {result.name}: " + ("kept" if result.kept else f"{result.seconds:.1f} s"))
         for line in result.foreign:
             say(f"{project.name}: {result.name}: {line}")
         if result.name == "control":
@@ -293,8 +339,12 @@ def run_one(
             text = finding_text(warning, catalogue("en"), plain)
             say(f"{project.name}: {kind(warning)}: {warning.code}: {text}")
 
+    def judged(verdict: Verdict) -> None:
+        """Give the figures as they are with it."""
+        told(summary(project.name, project.output, made, verdict))
+
     try:
-        run_project(project, day, progress, until, again, rehash, report, bar)
+        made = list(run_project(project, day, progress, until, again, rehash, report, bar, judged))
     except PhotocalError:
         # What other stages found doubtful is often why one cannot go on.
         warn({result.name for result in made} - {"control"})
