@@ -6,7 +6,7 @@
 import json
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -122,22 +122,26 @@ def run(
     """
     import datetime as dt
 
+    from photocal.base.workers import Cluster
     from photocal.findings.texts import catalogue, spoken
-    from photocal.run.campaign import run_projects
+    from photocal.run.campaign import Said, run_projects, say_line
     from photocal.run.summary import certificate_line, summary_text
 
     say = catalogue(spoken(language))
     day = dt.datetime.now().astimezone().date()
     judged = list[str]()
 
-    def tell(figure: dict[str, Any]) -> None:
-        """Say a verdict to a person, who need not wait for the certificate."""
-        judged.append(figure["work"])
-        answer(False, lambda: figure, lambda: summary_text(figure, say, details=details))
+    def tell(said: Said) -> None:
+        """Say a verdict to a person, who need not wait for the certificate, and lines on the way."""
+        if as_json or isinstance(said, str):
+            say_line(said)
+            return
+        judged.append(said["work"])
+        answer(False, lambda: said, lambda: summary_text(said, say, details=details))
 
     bar = one_bar(as_json, progress_words(say))
-    told = (lambda _: None) if as_json else tell
-    figures = run_projects(projects, day, until, again, rehash, workers, cluster, bar, told)
+    crew = workers if cluster is None else Cluster(cluster)
+    figures = run_projects(projects, day, until, again, rehash, crew, bar, tell)
     answer(
         as_json,
         lambda: figures[0] if len(projects) == 1 else figures,

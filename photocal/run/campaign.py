@@ -12,6 +12,7 @@ from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, PhotocalError, system_refusals
 from photocal.base.extensions import STAGES, brought
 from photocal.base.progress import Bar, Progress, quiet, unseen
+from photocal.base.workers import Workers, run_tasks
 from photocal.block.folder import read_block
 from photocal.block.project import Project, read_project
 from photocal.findings.texts import catalogue, finding_text, plain
@@ -115,19 +116,18 @@ def run_project(
     until: str | None = None,
     again: str | None = None,
     rehash: bool = False,
-    report: Callable[[StageResult], None] = lambda _: None,
+    report: Callable[[StageResult | Verdict], None] = lambda _: None,
     bar: Bar = unseen,
-    judged: Callable[[Verdict], None] = lambda _: None,
 ) -> tuple[StageResult, ...]:
     """Bring the stages of a project up to date; their pictures are drawn last.
 
-    report: gets each stage, and once more where drawing its pictures had to leave files of others.
+    report: gets each stage, once more where its pictures met files of others; and, as soon as it is known,
+        the verdict that the certificate will state, unless that is kept.
     progress: shows each piece of work by itself; bar: the whole run.
-    judged: gets the verdict as soon as it is known, where it is another than that of the last certificate.
     raises PhotocalError: as the first stage that fails does; the stages that do not need it are made
         nevertheless, for they may tell why.
     """
-    wanted = stages(project, day, judged)
+    wanted = stages(project, day, report)
     names = [stage.name for stage in wanted]
     for option, name in (("--until", until), ("--again", again)):
         if name is not None and name not in names:
@@ -188,7 +188,7 @@ def _draw(
     output: Path,
     digests: Digests,
     course: Course,
-    report: Callable[[StageResult], None],
+    report: Callable[[StageResult | Verdict], None],
 ) -> PhotocalError | None:
     """Draw the pictures that stages have left for now; gives the first refusal."""
     failure: PhotocalError | None = None
@@ -231,6 +231,16 @@ def _size(project: Project, stages: Sequence[Stage]) -> Workload:
 
 # How the run of one project ended: its figures, or what ended it.
 Outcome = tuple[dict[str, Any], PhotocalError | None]
+# A line on the way; the figures of a project with its verdict, before certificate and pictures are made.
+Said = str | dict[str, Any]
+
+
+def say_line(said: Said) -> None:
+    """Write a line to standard error."""
+    # A terminal that is gone, or a file on a full disk, ends no run.
+    if isinstance(said, str):
+        with suppress(OSError):
+            sys.stderr.write(printable(said) + "\n")
 
 
 def run_projects(
@@ -239,14 +249,13 @@ def run_projects(
     until: str | None = None,
     again: str | None = None,
     rehash: bool = False,
-    workers: int = 1,
-    cluster: str | None = None,
+    workers: Workers = 1,
     bar: Bar = unseen,
-    told: Callable[[dict[str, Any]], None] = lambda _: None,
+    say: Callable[[Said], None] = say_line,
 ) -> list[dict[str, Any]]:
     """Run projects, which do not depend on each other.
 
-    told: as of `run_one`, for projects that run in this process.
+    say: gets no figures of projects that run in other processes.
     raises PhotocalError: of the first project that failed, when the others have ended.
     """
     # All are read first: a mistake in the last file should not wait for hours.
@@ -260,46 +269,34 @@ def run_projects(
             )
     for project, remark in zip(projects, outside, strict=True):
         if remark:
-            _say(f"{project.name}: {remark}")
+            say(f"{project.name}: {remark}")
     tasks: list[Task] = [(path.resolve(), day, until, again, rehash) for path in paths]
-    if cluster is None and (workers == 1 or len(tasks) == 1):
-        outcomes = [_outcome(task, _say, bar, told) for task in tasks]
+    crew = min(workers, len(tasks)) if isinstance(workers, int) else workers
+    if crew == 1:
+        outcomes = [_outcome(task, say, bar) for task in tasks]
     else:
-        from photocal.base.workers import Cluster, run_tasks
-
-        crew = min(workers, len(tasks)) if cluster is None else Cluster(cluster)
         outcomes = []
         for outcome, lines in run_tasks(_elsewhere, tasks, crew):
             outcomes.append(outcome)
             for line in lines:
-                _say(line)
+                say(line)
     for _, failure in outcomes:
         if failure is not None:
             raise failure
     return [figures for figures, _ in outcomes]
 
 
-def _say(line: str) -> None:
-    # A terminal that is gone, or a file on a full disk, ends no run.
-    with suppress(OSError):
-        sys.stderr.write(printable(line) + "\n")
-
-
 def _elsewhere(task: Task) -> tuple[Outcome, list[str]]:
     """Run a project in another process: what it said on the way comes back with its outcome."""
-    lines: list[str] = []
-    return _outcome(task, lines.append), lines
+    said: list[Said] = []
+    outcome = _outcome(task, said.append)
+    return outcome, [line for line in said if isinstance(line, str)]
 
 
-def _outcome(
-    task: Task,
-    say: Callable[[str], None],
-    bar: Bar = unseen,
-    told: Callable[[dict[str, Any]], None] = lambda _: None,
-) -> Outcome:
+def _outcome(task: Task, say: Callable[[Said], None], bar: Bar = unseen) -> Outcome:
     try:
         with system_refusals():
-            return run_one(*task, say=say, bar=bar, told=told), None
+            return run_one(*task, say=say, bar=bar), None
     except PhotocalError as failure:
         return {}, failure
 
@@ -311,19 +308,18 @@ def run_one(
     again: str | None = None,
     rehash: bool = False,
     progress: Progress = quiet,
-    say: Callable[[str], None] = _say,
+    say: Callable[[Said], None] = say_line,
     bar: Bar = unseen,
-    told: Callable[[dict[str, Any]], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Run one project and give its figures; raises PhotocalError as `run_project` does.
-
-    told: gets the figures with a new verdict before certificate and pictures are made.
-    """
+    """Run one project and give its figures; raises PhotocalError as `run_project` does."""
     project = read_project(path)
     made: list[StageResult] = []
 
-    def report(result: StageResult) -> None:
-        """Keep a stage's result and say it in a line."""
+    def report(result: StageResult | Verdict) -> None:
+        """Keep a stage's result and say it in a line, or all that is known with the verdict."""
+        if isinstance(result, Verdict):
+            say(summary(project.name, project.output, made, result))
+            return
         if result.name not in {known.name for known in made}:
             made.append(result)
             say(f"{project.name}: {result.name}: " + ("kept" if result.kept else f"{result.seconds:.1f} s"))
@@ -339,12 +335,8 @@ def run_one(
             text = finding_text(warning, catalogue("en"), plain)
             say(f"{project.name}: {kind(warning)}: {warning.code}: {text}")
 
-    def judged(verdict: Verdict) -> None:
-        """Give the figures as they are with it."""
-        told(summary(project.name, project.output, made, verdict))
-
     try:
-        made = list(run_project(project, day, progress, until, again, rehash, report, bar, judged))
+        made = list(run_project(project, day, progress, until, again, rehash, report, bar))
     except PhotocalError:
         # What other stages found doubtful is often why one cannot go on.
         warn({result.name for result in made} - {"control"})

@@ -95,7 +95,12 @@ def site(tmp_path: Path) -> Path:
 
 def brought(folder: Path, judged: Callable[[Verdict], None]) -> set[str]:
     """Run a project; the stages that were made."""
-    results = run_project(read_project(folder / "project.toml"), dt.date(2026, 1, 1), quiet, judged=judged)
+
+    def report(what: object) -> None:
+        if isinstance(what, Verdict):
+            judged(what)
+
+    results = run_project(read_project(folder / "project.toml"), dt.date(2026, 1, 1), quiet, report=report)
     return {result.name for result in results if not result.kept}
 
 
