@@ -57,8 +57,6 @@ from photocal.run.summary import gather, kind, summary
 PROGRESS = "progress.json"
 # Of our stages, whether a project has them or not.
 _NAMES = ("control", "ppk", "exposures", "measurements", "flown", "certificate")
-# What is said of the pictures of all stages while they are drawn.
-_PICTURES = "pictures"
 Task = tuple[Path, dt.date, str | None, str | None, bool]
 
 
@@ -195,9 +193,9 @@ def _draw(
     for k, result in enumerate(made):
         if result.pictures is None:
             continue
-        course.begin(_PICTURES)
+        course.begin(result.name)
         try:
-            with system_refusals(), course.progress(_PICTURES, None):
+            with system_refusals(), course.progress("drawing the pictures", None):
                 made[k] = draw_pictures(result, output, digests)
         except PhotocalError as refusal:
             failure = failure or refusal
