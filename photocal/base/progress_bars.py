@@ -90,7 +90,9 @@ def _on_terminal(words: Mapping[str, str]) -> Iterator[Callable[[Standing], None
         TimeElapsedColumn(),
         TextColumn("{task.fields[left]}"),
     )
-    with RichProgress(*columns, console=Console(stderr=True), transient=True) as bar:
+    # An answer that comes before the end stands above the bar, but goes where a person has sent it.
+    console, above = Console(stderr=True), sys.stdout.isatty()
+    with RichProgress(*columns, console=console, transient=True, redirect_stdout=above) as bar:
         task = bar.add_task("", total=1.0, left="")
 
         def show(now: Standing) -> None:

@@ -187,11 +187,12 @@ def judge_block(
         content["findings"].append(finding_json(note, told.stored))
         text += f"\n{finding_text(note, told.say, plain)}"
     if output is not None:
-        from photocal.analysis.georeferencing.output import write_check
+        from photocal.analysis.georeferencing.output import draw_check, write_check
         from photocal.base.geopackage import changed_utc
 
         system = system or reference_system(None if read.frame == "local" else read.frame)
         write_check(result, content, output, system, changed_utc(source), final, told.stored)
+        draw_check(result, output, told.stored)
     return content, _with_place(text, output, told)
 
 

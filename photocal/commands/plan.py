@@ -119,5 +119,9 @@ def flown(
         if not block.exists():
             raise InputNotFoundError("has no block yet", "run `photocal run` first", where=project.path)
     exposure_s = nan if exposure_ms is None else exposure_ms / 1e3
-    figures = measure_flown(block, run, files, exposure_s, nan if speed is None else speed, output)
+    measured = measure_flown(block, run, files, exposure_s, nan if speed is None else speed)
+    figures = {} if measured is None else measured.figures
+    if output is not None and measured is not None:
+        measured.write(output)
+        measured.draw(output)
     answer(as_json, lambda: figures, lambda: flown_text(figures, catalogue(spoken(language))))

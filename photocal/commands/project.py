@@ -122,19 +122,35 @@ def run(
     """
     import datetime as dt
 
+    from photocal.base.workers import Cluster
     from photocal.findings.texts import catalogue, spoken
-    from photocal.run.campaign import run_projects
-    from photocal.run.summary import summary_text
+    from photocal.run.campaign import Said, run_projects, say_line
+    from photocal.run.summary import certificate_line, summary_text
 
     say = catalogue(spoken(language))
     day = dt.datetime.now().astimezone().date()
-    figures = run_projects(
-        projects, day, until, again, rehash, workers, cluster, one_bar(as_json, progress_words(say))
-    )
+    judged = list[str]()
+
+    def tell(said: Said) -> None:
+        """Say a verdict to a person, who need not wait for the certificate, and lines on the way."""
+        if as_json or isinstance(said, str):
+            say_line(said)
+            return
+        judged.append(said["work"])
+        answer(False, lambda: said, lambda: summary_text(said, say, details=details))
+
+    bar = one_bar(as_json, progress_words(say))
+    crew = workers if cluster is None else Cluster(cluster)
+    figures = run_projects(projects, day, until, again, rehash, crew, bar, tell)
     answer(
         as_json,
         lambda: figures[0] if len(projects) == 1 else figures,
-        lambda: "\n\n".join(summary_text(figure, say, details=details) for figure in figures),
+        lambda: "\n\n".join(
+            certificate_line(figure, say)
+            if figure["work"] in judged
+            else summary_text(figure, say, details=details)
+            for figure in figures
+        ),
     )
 
 

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import label
 
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.policy import policy
@@ -105,6 +104,8 @@ def _carried_on(fixed: Flags, disagree: Flags, steps_m: Floats) -> Flags:
 
     fixed (n, 2) and steps_m (n - 1, 2), movement that the Doppler velocity does not know, of both directions.
     """
+    from scipy.ndimage import label
+
     both = fixed.all(axis=1)
     unconfirmed = fixed & ~(both & ~disagree)[:, None]
     # What leads to an epoch and away from it.

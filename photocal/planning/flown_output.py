@@ -100,7 +100,7 @@ def write_flown(
     system: ReferenceSystem,
     changed_utc: str,
 ) -> None:
-    """Write figures, a table of the images, a map and a picture.
+    """Write figures, a table of the images and a map.
 
     raises OutputError: when the folder cannot be written.
     """
@@ -125,7 +125,6 @@ def write_flown(
                 for east, north, cells in gaps(block)
             ]
             add_layer(database, _GAPS, system, holes, changed_utc)
-        _draw(block, stations, aside / "flown.svg")
 
 
 def _cells(block: FlownBlock, to_given: Callable[[Floats], Floats]) -> list[Feature]:
@@ -153,7 +152,7 @@ def _cells(block: FlownBlock, to_given: Callable[[Floats], Floats]) -> list[Feat
     ]
 
 
-def _draw(block: FlownBlock, stations: Floats, path: Path) -> None:
+def draw_flown(block: FlownBlock, stations: Floats, path: Path) -> None:
     """Draw how many images show each place, with the stations and the gaps."""
     ground = block.ground
     shape = (-1, ground.columns)

@@ -71,7 +71,7 @@ def write_positions(
     system: ReferenceSystem,
     changed_utc: str,
 ) -> None:
-    """Write positions.csv, positions.gpkg and positions.svg; raises OutputError."""
+    """Write positions.csv and positions.gpkg; raises OutputError."""
     rows = list(zip(made.names, made.d_m.tolist(), strict=True))
     with output_folder(folder) as aside:
         cells = [[name, *(f"{value:.4f}" for value in d)] for name, d in rows]
@@ -80,10 +80,9 @@ def write_positions(
             places = to_given(made.station)[:, :2]
             features = [(place[None], [name, *d]) for place, (name, d) in zip(places, rows, strict=True)]
             add_layer(database, _LAYER, system, features, changed_utc)
-        _draw(made, aside / "positions.svg")
 
 
-def _draw(made: PositionDifferences, path: Path) -> None:
+def draw_positions(made: PositionDifferences, path: Path) -> None:
     """Draw the plane part as enlarged vectors and the height as colour."""
     with output_picture(path, (6.5, 5.0)) as figure:
         axes = figure.add_subplot()

@@ -156,6 +156,15 @@ def overall(run: AnalysedRun, known: tuple[DerivedFigures, ...], warnings: tuple
     return judged(result, found)
 
 
+def certified(
+    run: AnalysedRun, particulars: Metadata, say: Catalogue, warnings: tuple[Finding, ...]
+) -> Verdict:
+    """Give the verdict that a certificate will state, before anything of it is drawn; errors as of that."""
+    known = tuple(derived_figures(run, camera_id, particulars) for camera_id in run.result.cameras)
+    _refuse_impossible(known, say)
+    return overall(run, known, warnings)
+
+
 def judged(result: Result, findings: Iterable[Finding]) -> Verdict:
     """Judge over findings of an adjustment."""
     calibrated = any(camera.free for camera in result.cameras.values())

@@ -21,8 +21,8 @@ from photocal.block.results.result import Figures, Result
 from photocal.findings.document import Document, html, pdf
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json
-from photocal.findings.verdict import verdict_json
-from photocal.report.certificate import certificate, certificate_number, overall
+from photocal.findings.verdict import Verdict, verdict_json
+from photocal.report.certificate import certificate, certificate_number, certified, overall
 from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures, derived_figures, verdict
 from photocal.report.ministry_rows import Context, entries, read_layout
@@ -191,10 +191,12 @@ def issue(
     block: Path | None = None,
     warnings: tuple[Finding, ...] = (),
     done: Callable[[], None] = lambda: None,
+    judged: Callable[[Verdict], None] = lambda _: None,
 ) -> Document:
     """Write the certificate of a run; a signed one that lies there is kept beside it, under its number.
 
     block: block folder or set-up file of the run; looked for near it when not given. Its files are carried.
+    judged: gets the verdict before anything is drawn.
     raises PhotocalError: for inputs that cannot be read or have changed, and for figures that cannot be
         right.
     """
@@ -205,6 +207,7 @@ def issue(
         source = block_of_run(run, results.result, block, Path.cwd())
     except InputNotFoundError:
         source = None
+    judged(certified(results, particulars, say, warnings))
     done()
     document = certificate(results, particulars, say, warnings)
     done()

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from photocal.analysis.searched_block import SearchedBlock
     from photocal.block.model import Block
     from photocal.block.results.adjusted import Report
+    from photocal.findings.verdict import Verdict
 
     Calibrated = Callable[[Report | None], SearchedBlock | PhotocalError]
 
@@ -79,8 +80,14 @@ def analysis_stage(block: Path, calibration: Path, calibrated: Calibrated) -> St
     return Stage("analysis", "hidden errors, significance, correlations", make, after=(block, calibration))
 
 
-def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple[Path, ...]) -> Stage:
-    """Describe the stage; `earlier` are the folders of all others.
+def certificate_stage(
+    project: Project,
+    work: Path,
+    day: dt.date,
+    earlier: tuple[Path, ...],
+    judged: Callable[[Verdict], None] = lambda _: None,
+) -> Stage:
+    """Describe the stage; `earlier` are the folders of all others, `judged` gets the verdict beforehand.
 
     A certificate keeps its day until something that it says has changed.
     """
@@ -109,7 +116,15 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
                 flown=read_json(work / "flown" / "flown.json"),
             )
             block, warnings = work / "block", gather(work)
-            issue(work / "analysis", folder, given, language=language, block=block, warnings=warnings)
+            issue(
+                work / "analysis",
+                folder,
+                given,
+                language=language,
+                block=block,
+                warnings=warnings,
+                judged=judged,
+            )
 
     def keep(made: Path, public: Path) -> tuple[str, ...]:
         """Keep a signed certificate that another would replace."""

@@ -12,10 +12,11 @@ from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, PhotocalError, system_refusals
 from photocal.base.extensions import STAGES, brought
 from photocal.base.progress import Bar, Progress, quiet, unseen
+from photocal.base.workers import Workers, run_tasks
 from photocal.block.folder import read_block
 from photocal.block.project import Project, read_project
 from photocal.findings.texts import catalogue, finding_text, plain
-from photocal.findings.verdict import by_methods
+from photocal.findings.verdict import Verdict, by_methods
 from photocal.run.block import block_stage, given_block_stage
 from photocal.run.calibration import analysis_stage, calibrated_once, calibration_stage, certificate_stage
 from photocal.run.control import control_stage
@@ -44,6 +45,7 @@ from photocal.run.stage import (
     Stage,
     StageResult,
     alone,
+    draw_pictures,
     foreseen,
     last_seconds,
     made_in,
@@ -58,8 +60,10 @@ _NAMES = ("control", "ppk", "exposures", "measurements", "flown", "certificate")
 Task = tuple[Path, dt.date, str | None, str | None, bool]
 
 
-def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
-    """List the stages of a project."""
+def stages(
+    project: Project, day: dt.date, judged: Callable[[Verdict], None] = lambda _: None
+) -> tuple[Stage, ...]:
+    """List the stages of a project; `judged` gets its verdict before a certificate of it is written."""
     work = made_in(project.output)
     block, calibration = work / "block", work / "calibration"
     # A block is complete before it is read, once for all stages.
@@ -88,7 +92,8 @@ def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
         analysis_stage(block, calibration, calibrated),
     )
     made = (*made, *_added(project, work, {stage.name for stage in made}))
-    return (*made, certificate_stage(project, work, day, tuple(work / stage.name for stage in made)))
+    earlier = tuple(work / stage.name for stage in made)
+    return (*made, certificate_stage(project, work, day, earlier, judged))
 
 
 def _added(project: Project, work: Path, before: Container[str]) -> Iterator[Stage]:
@@ -109,16 +114,18 @@ def run_project(
     until: str | None = None,
     again: str | None = None,
     rehash: bool = False,
-    report: Callable[[StageResult], None] = lambda _: None,
+    report: Callable[[StageResult | Verdict], None] = lambda _: None,
     bar: Bar = unseen,
 ) -> tuple[StageResult, ...]:
-    """Bring the stages of a project up to date.
+    """Bring the stages of a project up to date; their pictures are drawn last.
 
+    report: gets each stage, once more where its pictures met files of others; and, as soon as it is known,
+        the verdict that the certificate will state, unless that is kept.
     progress: shows each piece of work by itself; bar: the whole run.
     raises PhotocalError: as the first stage that fails does; the stages that do not need it are made
         nevertheless, for they may tell why.
     """
-    wanted = stages(project, day)
+    wanted = stages(project, day, report)
     names = [stage.name for stage in wanted]
     for option, name in (("--until", until), ("--again", again)):
         if name is not None and name not in names:
@@ -163,6 +170,8 @@ def run_project(
                 except PhotocalError as refusal:
                     failure = failure or refusal
                 missing.add(made_in(project.output) / stage.name)
+            refused = _draw(made, project.output, digests, course, report)
+            failure = failure or refused
         finally:
             digests.keep()
     with suppress(OSError):
@@ -170,6 +179,29 @@ def run_project(
     if failure is not None:
         raise explained(project, failure) from failure
     return tuple(made)
+
+
+def _draw(
+    made: list[StageResult],
+    output: Path,
+    digests: Digests,
+    course: Course,
+    report: Callable[[StageResult | Verdict], None],
+) -> PhotocalError | None:
+    """Draw the pictures that stages have left for now; gives the first refusal."""
+    failure: PhotocalError | None = None
+    for k, result in enumerate(made):
+        if result.pictures is None:
+            continue
+        course.begin(result.name)
+        try:
+            with system_refusals(), course.progress("drawing the pictures", None):
+                made[k] = draw_pictures(result, output, digests)
+        except PhotocalError as refusal:
+            failure = failure or refusal
+        if not set(made[k].foreign) <= set(result.foreign):
+            report(made[k])
+    return failure
 
 
 def _compile_first(course: Course) -> None:
@@ -197,6 +229,16 @@ def _size(project: Project, stages: Sequence[Stage]) -> Workload:
 
 # How the run of one project ended: its figures, or what ended it.
 Outcome = tuple[dict[str, Any], PhotocalError | None]
+# A line on the way; the figures of a project with its verdict, before certificate and pictures are made.
+Said = str | dict[str, Any]
+
+
+def say_line(said: Said) -> None:
+    """Write a line to standard error."""
+    # A terminal that is gone, or a file on a full disk, ends no run.
+    if isinstance(said, str):
+        with suppress(OSError):
+            sys.stderr.write(printable(said) + "\n")
 
 
 def run_projects(
@@ -205,12 +247,13 @@ def run_projects(
     until: str | None = None,
     again: str | None = None,
     rehash: bool = False,
-    workers: int = 1,
-    cluster: str | None = None,
+    workers: Workers = 1,
     bar: Bar = unseen,
+    say: Callable[[Said], None] = say_line,
 ) -> list[dict[str, Any]]:
     """Run projects, which do not depend on each other.
 
+    say: gets no figures of projects that run in other processes.
     raises PhotocalError: of the first project that failed, when the others have ended.
     """
     # All are read first: a mistake in the last file should not wait for hours.
@@ -222,40 +265,33 @@ def run_projects(
             raise ConfigurationError(
                 "two projects have the same output", "give each its own folder", where=paths[k]
             )
-    for project, told in zip(projects, outside, strict=True):
-        if told:
-            _say(f"{project.name}: {told}")
+    for project, remark in zip(projects, outside, strict=True):
+        if remark:
+            say(f"{project.name}: {remark}")
     tasks: list[Task] = [(path.resolve(), day, until, again, rehash) for path in paths]
-    if cluster is None and (workers == 1 or len(tasks) == 1):
-        outcomes = [_outcome(task, _say, bar) for task in tasks]
+    crew = min(workers, len(tasks)) if isinstance(workers, int) else workers
+    if crew == 1:
+        outcomes = [_outcome(task, say, bar) for task in tasks]
     else:
-        from photocal.base.workers import Cluster, run_tasks
-
-        crew = min(workers, len(tasks)) if cluster is None else Cluster(cluster)
         outcomes = []
         for outcome, lines in run_tasks(_elsewhere, tasks, crew):
             outcomes.append(outcome)
             for line in lines:
-                _say(line)
+                say(line)
     for _, failure in outcomes:
         if failure is not None:
             raise failure
     return [figures for figures, _ in outcomes]
 
 
-def _say(line: str) -> None:
-    # A terminal that is gone, or a file on a full disk, ends no run.
-    with suppress(OSError):
-        sys.stderr.write(printable(line) + "\n")
-
-
 def _elsewhere(task: Task) -> tuple[Outcome, list[str]]:
     """Run a project in another process: what it said on the way comes back with its outcome."""
-    lines: list[str] = []
-    return _outcome(task, lines.append), lines
+    said: list[Said] = []
+    outcome = _outcome(task, said.append)
+    return outcome, [line for line in said if isinstance(line, str)]
 
 
-def _outcome(task: Task, say: Callable[[str], None], bar: Bar = unseen) -> Outcome:
+def _outcome(task: Task, say: Callable[[Said], None], bar: Bar = unseen) -> Outcome:
     try:
         with system_refusals():
             return run_one(*task, say=say, bar=bar), None
@@ -270,17 +306,21 @@ def run_one(
     again: str | None = None,
     rehash: bool = False,
     progress: Progress = quiet,
-    say: Callable[[str], None] = _say,
+    say: Callable[[Said], None] = say_line,
     bar: Bar = unseen,
 ) -> dict[str, Any]:
     """Run one project and give its figures; raises PhotocalError as `run_project` does."""
     project = read_project(path)
     made: list[StageResult] = []
 
-    def report(result: StageResult) -> None:
-        """Keep a stage's result and say it in a line."""
-        made.append(result)
-        say(f"{project.name}: {result.name}: " + ("kept" if result.kept else f"{result.seconds:.1f} s"))
+    def report(result: StageResult | Verdict) -> None:
+        """Keep a stage's result and say it in a line, or all that is known with the verdict."""
+        if isinstance(result, Verdict):
+            say(summary(project.name, project.output, made, result))
+            return
+        if result.name not in {known.name for known in made}:
+            made.append(result)
+            say(f"{project.name}: {result.name}: " + ("kept" if result.kept else f"{result.seconds:.1f} s"))
         for line in result.foreign:
             say(f"{project.name}: {result.name}: {line}")
         if result.name == "control":
@@ -294,7 +334,7 @@ def run_one(
             say(f"{project.name}: {kind(warning)}: {warning.code}: {text}")
 
     try:
-        run_project(project, day, progress, until, again, rehash, report, bar)
+        made = list(run_project(project, day, progress, until, again, rehash, report, bar))
     except PhotocalError:
         # What other stages found doubtful is often why one cannot go on.
         warn({result.name for result in made} - {"control"})

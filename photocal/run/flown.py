@@ -3,6 +3,7 @@
 import json
 import math
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +28,12 @@ from photocal.geometry.strips import lines_of_places, order_of_places, strips
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.planning.flown import figures_of, flown_block, ground_through
-from photocal.planning.flown_output import against_plan, write_flown
+from photocal.planning.flown_output import against_plan, draw_flown, write_flown
 from photocal.planning.options import FlownOptions
-from photocal.planning.position_map import position_differences, write_positions
+from photocal.planning.position_map import draw_positions, position_differences, write_positions
 from photocal.products.oriented import oriented
 from photocal.report.derived_figures import NADIR_DEG
-from photocal.run.stage import Stage, pictures_of
+from photocal.run.stage import Drawing, Stage, pictures_of
 
 
 def flown_stage(project: Project, block: Path, calibration: Path) -> Stage:
@@ -43,14 +44,30 @@ def flown_stage(project: Project, block: Path, calibration: Path) -> Stage:
     inputs = {} if folder_of_pictures is None else pictures_of(project)
     inputs |= {} if plan is None else {"plan": plan}
 
-    def make(folder: Path, show: Progress) -> None:
+    def make(folder: Path, show: Progress) -> Drawing | None:
         """Make the files of the stage."""
         # Where too few points tell a ground, the adjustment says so.
         with show("flown block", None), suppress(IllPosedError):
             files = FlownOptions(images=folder_of_pictures, plan=plan)
-            measure_flown(block, calibration, files, output=folder, only_nadir=True)
+            flown = measure_flown(block, calibration, files, only_nadir=True)
+            if flown is not None:
+                flown.write(folder)
+                return flown.draw
+        return None
 
     return Stage("flown", "flown block", make, inputs, after=(block, calibration))
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A flown block that was measured.
+
+    write, draw: its figures, tables and maps, and its pictures, into a folder; they raise OutputError.
+    """
+
+    figures: dict[str, Any]
+    write: Drawing
+    draw: Drawing
 
 
 def measure_flown(
@@ -59,15 +76,13 @@ def measure_flown(
     files: FlownOptions | None = None,
     exposure_s: float = math.nan,
     speed_m_s: float = math.nan,
-    output: Path | None = None,
     only_nadir: bool = False,
-) -> dict[str, Any]:
-    """Measure a flown block, and write its figures, table, map and picture where an output is given.
+) -> Flown | None:
+    """Measure a flown block.
 
     run: adjustment of the block; None takes the orientations as given.
     exposure_s, speed_m_s: where images and block do not tell them.
-    only_nadir: leaves out blocks of several cameras, of axes that do not look down, or without a scale; they
-        have no figures.
+    only_nadir: gives none for blocks of several cameras, of axes that do not look down, or without a scale.
     raises IllPosedError: for fewer than three points.
     """
     files = files or FlownOptions()
@@ -80,7 +95,7 @@ def measure_flown(
     axis = float(np.median(shots.rotation[:, 2, 2])) if len(shots) else -1.0
     nadir = len(shots.cameras) == 1 and axis >= math.cos(math.radians(NADIR_DEG))
     if only_nadir and not (nadir and scaled):
-        return {}
+        return None
     velocity = np.full((len(shots), 3), np.nan)
     velocity[model.positions.image] = model.positions.velocity
     velocity = np.where((velocity != 0).any(axis=1)[:, None], velocity, np.nan)[order]
@@ -123,13 +138,22 @@ def measure_flown(
             raise InputMalformedError(
                 "is not a plan", where=plan, remedy="name plan.json of `photocal plan`"
             ) from refusal
-    if output is not None:
+
+    def write(folder: Path) -> None:
+        """Write figures, tables and maps."""
         system = reference_system(None if model.frame == "local" else model.frame)
         changed = changed_utc(block if block.is_file() else block / "block.toml")
-        write_flown(output, measured, shots.station, moving, figures, frame.to_given, system, changed)
+        write_flown(folder, measured, shots.station, moving, figures, frame.to_given, system, changed)
         if apart is not None:
-            write_positions(output, apart, frame.to_given, system, changed)
-    return figures
+            write_positions(folder, apart, frame.to_given, system, changed)
+
+    def draw(folder: Path) -> None:
+        """Draw the overlaps, and how far positions are off."""
+        draw_flown(measured, shots.station, folder / "flown.svg")
+        if apart is not None:
+            draw_positions(apart, folder / "positions.svg")
+
+    return Flown(figures, write, draw)
 
 
 def _of_terrain(hit: Floats, model: Block, frame: LocalFrame, path: Path, heights: str | None) -> Floats:

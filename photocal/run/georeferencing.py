@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ from photocal.base.errors import PhotocalError
 from photocal.base.files import write_json
 from photocal.base.progress import Progress
 from photocal.block.project import Project
-from photocal.run.stage import Stage
+from photocal.run.stage import Drawing, Stage
 
 if TYPE_CHECKING:
     from photocal.analysis.accuracy.standard import Question
@@ -43,12 +44,12 @@ def _make(
     show: Progress,
     read: Callable[[Path], Block],
     calibrated: Calibrated,
-) -> None:
+) -> Drawing | None:
     from photocal.analysis.accuracy.maps import reference_system
     from photocal.analysis.accuracy.standard import SHIPPED, load_standard
     from photocal.analysis.georeferencing.comparison import check_block
     from photocal.analysis.georeferencing.methods import METHODS
-    from photocal.analysis.georeferencing.output import SCHEMA, to_json, write_check
+    from photocal.analysis.georeferencing.output import SCHEMA, draw_check, to_json, write_check
     from photocal.base.geopackage import changed_utc
     from photocal.findings.texts import as_record
     from photocal.measurement.oriented_ties import NOT_PLACED
@@ -59,7 +60,7 @@ def _make(
         # Nothing can be judged in a relative block; that is no failure.
         with_nothing = {"schema": SCHEMA, "block": block.name, "methods": {}, "refused": []}
         write_json(folder / FIGURES, with_nothing | as_record([NOT_PLACED]))
-        return
+        return None
     with show("three georeferencings", len(METHODS) + 2) as done:
         made = calibrated(None)
         known = None if isinstance(made, PhotocalError) else made
@@ -68,6 +69,7 @@ def _make(
         )
     system = reference_system(None if block.frame == "local" else block.frame)
     write_check(result, to_json(result), folder, system, changed_utc(source))
+    return partial(draw_check, result)
 
 
 def question_of(project: Project) -> Question:

@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -18,7 +18,7 @@ from photocal.adjustment.ledger import because, ledger
 from photocal.base.codec import kept_json
 from photocal.base.console import printable
 from photocal.base.errors import InputNotFoundError, OutputError
-from photocal.base.files import digest, filled, output_file, refusals, write_json
+from photocal.base.files import digest, filled, output_file, output_folder, refusals, write_json
 from photocal.base.operating_system import lock as take
 from photocal.base.program import program
 from photocal.base.progress import Progress
@@ -32,6 +32,8 @@ _SMALL_BYTES = 1 << 20
 MEMORY = ".digests.json"
 # What a stage was made from and what it wrote.
 RECORD = "stage.json"
+# Draws pictures into a folder, of what is at hand.
+Drawing = Callable[[Path], None]
 _REMEDY = "choose another output in the project file"
 _ASIDE, _OLD = ".partial", ".old.partial"
 
@@ -221,7 +223,8 @@ def _said_in(lock: TextIO) -> str:
 class Stage:
     """What a stage depends on and how it is made.
 
-    make: gets the folder to write into and what shows progress.
+    make: gets the folder to write into and what shows progress; gives what draws its pictures, which no stage
+        reads and which wait for the verdict of the run.
     inputs: files and folders by a name that does not change when the project is moved.
     settings: whatever else decides over the result, ready for JSON.
     after: folders of earlier stages whose files are read.
@@ -231,7 +234,7 @@ class Stage:
 
     name: str
     title: str
-    make: Callable[[Path, Progress], None]
+    make: Callable[[Path, Progress], Drawing | None]
     inputs: Mapping[str, Path] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     after: tuple[Path, ...] = ()
@@ -275,6 +278,8 @@ class StageResult:
         Reason of each adjustment that it computed.
     foreign
         Files in its folder that the stage has not written, one phrase each.
+    pictures
+        What draws those that it still lacks.
     """
 
     name: str
@@ -283,19 +288,43 @@ class StageResult:
     seconds: float
     adjustments: tuple[str, ...] = ()
     foreign: tuple[str, ...] = ()
+    pictures: Drawing | None = None
 
 
 def update_stage(
     stage: Stage, work: Path, digests: Digests, progress: Progress, *, again: bool = False
 ) -> StageResult:
-    """Make a stage, or keep it while its inputs, settings and code do not change, and publish it."""
+    """Make a stage, or keep it while its inputs, settings and code do not change, and publish it.
+
+    Its pictures are drawn by `draw_pictures`; a stage that lacks them is made again.
+    """
     made = made_in(work) / stage.name
-    kept, record = _made(stage, made, digests, progress, again=again)
-    public, published = work / stage.name, made_in(work) / f"{stage.name}.published.json"
+    kept, record, pictures = _made(stage, made, digests, progress, again=again)
+    public = work / stage.name
     seconds, taken = float(record.get("seconds", 0.0)), record.get("adjustments", [])
     reasons = tuple(entry["reason"] for entry in taken)
-    remarks = (*stage.before(made, public), *publish(made, public, published))
-    return StageResult(stage.name, public, kept, seconds, reasons, remarks)
+    remarks = (*stage.before(made, public), *publish(made, public, _published(work, stage.name)))
+    return StageResult(stage.name, public, kept, seconds, reasons, remarks, pictures)
+
+
+def draw_pictures(result: StageResult, work: Path, digests: Digests) -> StageResult:
+    """Draw the pictures that a stage has left for later, and publish them; its seconds count these too."""
+    if result.pictures is None:
+        return result
+    made, began = made_in(work) / result.name, time.monotonic()
+    with output_folder(made) as aside:
+        result.pictures(aside)
+        drawn = digests.of_folder(aside)
+    seconds = round(result.seconds + time.monotonic() - began, 3)
+    with output_file(made / RECORD) as aside:
+        write_json(aside, kept_json(made / RECORD) | {"pictures": drawn, "seconds": seconds})
+    remarks = publish(made, result.folder, _published(work, result.name))
+    return replace(result, seconds=seconds, foreign=remarks, pictures=None)
+
+
+def _published(work: Path, stage: str) -> Path:
+    """Record of the public files of a stage."""
+    return made_in(work) / f"{stage}.published.json"
 
 
 def last_seconds(stage: Stage, work: Path) -> float:
@@ -329,16 +358,16 @@ def is_stage(folder: Path) -> bool:
 
 def _made(
     stage: Stage, folder: Path, digests: Digests, progress: Progress, *, again: bool
-) -> tuple[bool, dict[str, Any]]:
-    """Make a stage or keep it: which of both, and its record."""
+) -> tuple[bool, dict[str, Any], Drawing | None]:
+    """Make a stage or keep it: which of both, its record, and what draws the pictures that it lacks."""
     sweep(folder)
     key = _key(stage, digests)
     record = None if again else _standing(folder, key, digests)
     if record is not None:
-        return True, record
+        return True, record, None
     began = time.monotonic()
     with replaced_folder(folder) as aside, ledger() as adjustments, because(stage.title):
-        stage.make(aside, progress)
+        pictures = stage.make(aside, progress)
         seconds = time.monotonic() - began
         content = {
             "schema": "photocal.stage/1",
@@ -349,17 +378,28 @@ def _made(
             "settings": stage.settings,
             "inputs": {name: digests.of_any(path) for name, path in stage.inputs.items()},
             "outputs": digests.of_folder(aside),
+            "pictures": {} if pictures is None else None,
             "adjustments": [asdict(entry) for entry in adjustments],
         }
         write_json(aside / RECORD, content)
-    return False, content
+    return False, content, pictures
 
 
 def _standing(folder: Path, key: str, digests: Digests) -> dict[str, Any] | None:
     """Record of a stage that was made from the same, and whose files are as it wrote them."""
     record = kept_json(folder / RECORD)
-    same = record.get("key") == key
-    return record if same and digests.of_folder(folder, leave_out=RECORD) == record.get("outputs") else None
+    pictures = record.get("pictures")
+    if record.get("key") != key or pictures is None:
+        return None
+    files = record.get("outputs", {}) | pictures
+    return record if digests.of_folder(folder, leave_out=RECORD) == files else None
+
+
+def _read_by_others(folder: Path, digests: Digests) -> dict[str, str]:
+    """Digests of the files of a stage but for its pictures."""
+    pictures = kept_json(folder / RECORD).get("pictures") or ()
+    files = digests.of_folder(folder, leave_out=RECORD)
+    return {name: digest for name, digest in files.items() if name not in pictures}
 
 
 def _key(stage: Stage, digests: Digests) -> str:
@@ -374,6 +414,6 @@ def _key(stage: Stage, digests: Digests) -> str:
         "program": program(stage.make),
         "settings": stage.settings,
         "inputs": {name: digests.of_any(path) for name, path in stage.inputs.items()},
-        "after": {folder.name: digests.of_folder(folder, leave_out=RECORD) for folder in stage.after},
+        "after": {folder.name: _read_by_others(folder, digests) for folder in stage.after},
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

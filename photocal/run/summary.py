@@ -235,8 +235,13 @@ _LEVER = ("lever_arm_x", "lever_arm_y", "lever_arm_z")
 _BORESIGHT = ("boresight_x", "boresight_y", "boresight_z")
 
 
-def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any]:
-    """Collect the figures of the stages."""
+def summary(
+    name: str, work: Path, made: Sequence[StageResult], verdict: Verdict | None = None
+) -> dict[str, Any]:
+    """Collect the figures of the stages.
+
+    verdict: of the certificate that is being made of them.
+    """
     done, say = {result.name for result in made}, catalogue("en")
 
     def figures(stage: str, file: str) -> dict[str, Any] | None:
@@ -249,7 +254,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
     check, control = figures("georeferencing", "check.json"), figures("control", CONTROL)
     assessed = check and (check["methods"].get("integrated") or {}).get("assessment")
     adjusted = next((stage for stage in ("analysis", "calibration") if stage in done), None)
-    final = project_verdict(work, done)
+    final = verdict or project_verdict(work, done)
     return {
         "schema": SCHEMA,
         "project": name,
@@ -373,7 +378,7 @@ def summary_text(figures: dict[str, Any], say: Catalogue | None = None, *, detai
     if details or figures["verdict"] is None:
         lines += _warning_lines(figures["warnings"], figures["verdict"], say)
     if figures["certificate"] is not None:
-        lines.append(_line(say("ran.certificate"), figures["certificate"]))
+        lines.append(certificate_line(figures, say))
     # Whoever reads one paragraph reads the last.
     if figures["verdict"] is not None:
         notes = sum(warning["kind"] == "note" for warning in figures["warnings"])
@@ -381,6 +386,11 @@ def summary_text(figures: dict[str, Any], say: Catalogue | None = None, *, detai
     else:
         lines.append(_line(say("judgement.section").lower(), say("ran.no_verdict")))
     return "\n".join(lines)
+
+
+def certificate_line(figures: dict[str, Any], say: Catalogue) -> str:
+    """Say where the certificate of a project lies."""
+    return _line(say("ran.certificate"), figures["certificate"])
 
 
 def _verdict_lines(final: Verdict, notes: int, say: Catalogue) -> Iterator[str]:

@@ -188,8 +188,10 @@ def _quiet(_: str, __: float | None) -> Iterator[Any]:
     yield lambda _: None
 
 
-def _say(text: str) -> None:
-    sys.stderr.write(f"{text}\n")
+def _say(text: object) -> None:
+    # Figures with a verdict come at the end, too.
+    if isinstance(text, str):
+        sys.stderr.write(f"{text}\n")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
-from scipy.optimize import brentq
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError
@@ -145,6 +144,8 @@ def circular_error(second_moments_m2: Floats, probability: float) -> float:
     Exact for any ellipse: P(r) is the integral over all directions of the radial part, which has a
     closed form, so one dimension is left to sum and one equation to solve.
     """
+    from scipy.optimize import brentq
+
     # Directions over half a turn; the integrand is smooth and periodic, so the rectangle rule converges
     # exponentially and this many suffice for axis ratios down to about 1:100.
     directions = 2048

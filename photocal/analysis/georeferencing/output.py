@@ -343,10 +343,18 @@ def write_check(
             groups = tuple((group.role, group.discrepancies()) for group in judged.differences[::-1])
             if groups:
                 write_geopackage(aside / f"{method}.gpkg", groups, system, changed_utc)
+
+
+def draw_check(check: BlockCheck, folder: Path, say: Catalogue | None = None) -> None:
+    """Draw the figures of the check points of each method; raises OutputError as `write_check` does."""
+    with output_folder(folder) as aside:
+        for judged in check.judged:
             if judged.check.names:
                 gsd = judged.assessment.question.gsd_m if judged.assessment else None
-                figures = check_figures(judged.check.discrepancies(), gsd, words, f"{method}_")
-                save_figures(aside, figures)
+                prefix = f"{judged.result.method}_"
+                save_figures(
+                    aside, check_figures(judged.check.discrepancies(), gsd, say or catalogue("en"), prefix)
+                )
 
 
 def _ground_points(methods: dict[str, Any]) -> str:

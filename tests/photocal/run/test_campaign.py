@@ -18,6 +18,7 @@ import pytest
 from photocal.base import compiled
 from photocal.base.errors import InputNotFoundError
 from photocal.base.progress import Standing, quiet
+from photocal.base.workers import Cluster
 from photocal.block.project import read_project
 from photocal.run.campaign import run_project, run_projects
 from photocal.run.course import COMPILING
@@ -66,7 +67,7 @@ def test_everywhere_the_same(
     assert alone[0]["calibration"]["cameras"] != alone[1]["calibration"]["cameras"]
     for name, where in (
         ("processes", {"workers": 2}),
-        ("cluster", {"cluster": two_workers.scheduler_address}),
+        ("cluster", {"workers": Cluster(two_workers.scheduler_address)}),
     ):
         assert campaign(flown, tmp_path / name, **where) == alone
         # What the stages say comes back from there.
@@ -80,13 +81,13 @@ def test_everywhere_the_same(
 def test_one_that_fails_stops_no_other(
     flown: Path, two_workers: Any, tmp_path: Path, elsewhere: bool
 ) -> None:
-    address = two_workers.scheduler_address
+    crew = Cluster(two_workers.scheduler_address) if elsewhere else 1
     for name in ("may", "june"):
         shutil.copytree(flown / name, tmp_path / name)
     (tmp_path / "may" / "block" / "block.toml").unlink()
     paths = [tmp_path / name / "project.toml" for name in ("may", "june")]
     with pytest.raises(InputNotFoundError, match=r"block\.toml"):
-        run_projects(paths, DAY, until="calibration", cluster=address if elsewhere else None)
+        run_projects(paths, DAY, until="calibration", workers=crew)
     assert (tmp_path / "june" / "work" / "calibration" / "result.json").exists()
 
 

@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import issue
 from photocal.run.campaign import stages
 from photocal.run.flown import flown_stage, measure_flown
-from photocal.run.stage import Digests, update_stage
+from photocal.run.stage import Digests, draw_pictures, update_stage
 from tests.photocal.analysis.georeferencing.flights import FOCAL_MM, PITCH_MM, Plan, fly
 from tests.photocal.conftest import Answer
 
@@ -72,8 +73,16 @@ def made(project: Project) -> Path:
     folder = project.path.parent
     made = folder / "flown"
     made.mkdir()
-    flown_stage(project, folder / "block", folder / "calibration").make(made, quiet)
+    draw = flown_stage(project, folder / "block", folder / "calibration").make(made, quiet)
+    assert draw is not None
+    draw(made)
     return made
+
+
+def measured(block: Path, run: Path | None, files: FlownOptions | None = None) -> dict[str, Any]:
+    flown = measure_flown(block, run, files)
+    assert flown is not None
+    return flown.figures
 
 
 def test_the_stage_writes_figures_map_and_picture(made: Path) -> None:
@@ -98,7 +107,8 @@ def test_what_else_lies_beside_the_pictures_is_nothing_new(project: Project, tmp
 
     def kept() -> bool:
         stage = flown_stage(project, folder / "block", folder / "calibration")
-        return update_stage(stage, tmp_path, Digests(tmp_path / "digests.json"), quiet).kept
+        digests = Digests(tmp_path / "digests.json")
+        return draw_pictures(update_stage(stage, tmp_path, digests, quiet), tmp_path, digests).kept
 
     assert not kept()
     (folder / "images" / "work").mkdir()
@@ -155,9 +165,8 @@ def test_cameras_that_do_not_look_down_have_no_flown_block(project: Project, tmp
     header, *rows = (block / "images.csv").read_text(encoding="utf-8").split()
     turned = [",".join([*row.split(",")[:5], "90", "0", "0"]) for row in rows]
     (block / "images.csv").write_text("\n".join([header, *turned, ""]), encoding="utf-8")
-    assert measure_flown(block, None, output=tmp_path / "out", only_nadir=True) == {}
-    assert not (tmp_path / "out").exists()
-    assert not math.isnan(measure_flown(project.path.parent / "block", None)["tilt_deg"]["median"])
+    assert measure_flown(block, None, only_nadir=True) is None
+    assert not math.isnan(measured(project.path.parent / "block", None)["tilt_deg"]["median"])
 
 
 def test_projects_of_pictures_have_the_stage(project: Project) -> None:
@@ -181,7 +190,7 @@ def test_laser_distances_of_the_pictures_are_a_check(tmp_path: Path, beside_m: f
         named = re.sub(r"^(s\d_\d+),", r"\1.jpg,", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
         path.write_text(named, encoding="utf-8")
     adjust_block(folder / "block", folder / "calibration")
-    figures = measure_flown(folder / "block", folder / "calibration", FlownOptions(images=tmp_path))
+    figures = measured(folder / "block", folder / "calibration", FlownOptions(images=tmp_path))
     (found,) = figures["findings"]
     assert (found["code"], found["severity"]) == ("laser-heights", severity)
     assert found["figures"]["bias_m"] == pytest.approx(beside_m, abs=0.15)
@@ -189,6 +198,6 @@ def test_laser_distances_of_the_pictures_are_a_check(tmp_path: Path, beside_m: f
     model = tmp_path / "terrain.tif"
     write_terrain(Terrain(np.full((400, 400), 1.0), (10.0, 0, -2000.0, 0, -10.0, 2000.0), "", ""), model)
     files = FlownOptions(images=tmp_path, terrain=model, terrain_heights="ellipsoidal")
-    (found,) = measure_flown(folder / "block", folder / "calibration", files)["findings"]
+    (found,) = measured(folder / "block", folder / "calibration", files)["findings"]
     assert found["figures"]["bias_m"] == pytest.approx(beside_m + 1.0, abs=0.15)
     assert found["severity"] == "doubtful"

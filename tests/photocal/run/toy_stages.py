@@ -1,4 +1,4 @@
-"""Three small stages under random edits, kills and foreign files, against the same made from nothing."""
+"""Three small stages with pictures under random edits, kills and foreign files, against runs from nothing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 from unittest.mock import patch
 
 from photocal.base.progress import Progress
-from photocal.run.stage import Digests, Stage, made_in, update_stage
+from photocal.run.stage import Digests, Drawing, Stage, draw_pictures, made_in, update_stage
 
 NAMES = ("first", "second", "third")
 KINDS = ("content", "keep times", "touch", "add", "remove", "foreign", "change", "delete", "move")
@@ -32,12 +32,14 @@ def stages(source: Path, work: Path) -> tuple[Stage, ...]:
     """Each reads all files that it finds in the folder of the one before, as some real ones do."""
 
     def make(before: Path, word: str) -> Any:
-        def copy(out: Path, _: Progress) -> None:
+        def copy(out: Path, _: Progress) -> Drawing:
             for path in sorted(before.rglob("*")):
-                if path.is_file() and path.name != "stage.json":
+                if path.is_file() and path.name != "stage.json" and path.suffix != ".svg":
                     target = out / path.relative_to(before)
                     target.parent.mkdir(exist_ok=True)
                     target.write_text(f"{word} {path.read_text()}")
+            drawn = sorted(path.read_text() for path in out.rglob("*") if path.is_file())
+            return lambda folder: _draw(folder, drawn)
 
         return copy
 
@@ -49,10 +51,16 @@ def stages(source: Path, work: Path) -> tuple[Stage, ...]:
     )
 
 
+def _draw(folder: Path, drawn: list[str]) -> None:
+    (folder / "sheets").mkdir()
+    (folder / "sheets" / "all.svg").write_text("\n".join(drawn))
+    (folder / "count.svg").write_text(str(len(drawn)))
+
+
 def run(source: Path, work: Path) -> None:
     digests = Digests(work / "digests.json")
-    for stage in stages(source, work):
-        update_stage(stage, work, digests, quiet)
+    for result in [update_stage(stage, work, digests, quiet) for stage in stages(source, work)]:
+        draw_pictures(result, work, digests)
     digests.keep()
 
 
