@@ -65,20 +65,23 @@ def reduce_right_piece(
     design: Design, structure: Structure, right: Floats, kept: Eliminated, piece: int, reduced: Floats
 ) -> None:
     """Eliminate one piece's points, see `reduce_right`."""
-    band = structure.band
+    band, (mixed, mixed_border, inverse, _, _) = structure.band, kept
     for j in range(design.spans[piece], design.spans[piece + 1]):
         for t in range(len(right)):
             b0, b1, b2 = right[t, j, 0], right[t, j, 1], right[t, j, 2]
-            for a in range(3):
-                x = kept.inverse[j, a, 0] * b0 + kept.inverse[j, a, 1] * b1 + kept.inverse[j, a, 2] * b2
-                if x == 0.0:
-                    continue
-                for r in range(design.ray_start[j], design.ray_start[j + 1]):
-                    column = design.image_column[design.ray_image[r]]
-                    for b in range(columns(design)):
-                        reduced[t, column + b] -= kept.mixed[r, a, b] * x
-                for s in range(structure.lens):
-                    reduced[t, band + s] -= kept.mixed_border[j, a, s] * x
+            if b0 == 0.0 and b1 == 0.0 and b2 == 0.0:
+                continue
+            x0 = inverse[j, 0, 0] * b0 + inverse[j, 0, 1] * b1 + inverse[j, 0, 2] * b2
+            x1 = inverse[j, 1, 0] * b0 + inverse[j, 1, 1] * b1 + inverse[j, 1, 2] * b2
+            x2 = inverse[j, 2, 0] * b0 + inverse[j, 2, 1] * b1 + inverse[j, 2, 2] * b2
+            for r in range(design.ray_start[j], design.ray_start[j + 1]):
+                column = design.image_column[design.ray_image[r]]
+                for b in range(columns(design)):
+                    less = mixed[r, 0, b] * x0 + mixed[r, 1, b] * x1 + mixed[r, 2, b] * x2
+                    reduced[t, column + b] -= less
+            for s in range(structure.lens):
+                less = mixed_border[j, 0, s] * x0 + mixed_border[j, 1, s] * x1 + mixed_border[j, 2, s] * x2
+                reduced[t, band + s] -= less
 
 
 def reduce_right(
