@@ -32,8 +32,8 @@ class Layout:
         rigs; -1 for those that are no unknowns.
     kept_points (m,): points that are not eliminated because observations relate them to others.
     point_columns (m, 3): their columns.
-    envelope, strips: structure of the matrix, and of the same with a panel for each image, as pieces of
-        points fill it: its offsets count rows.
+    envelope, strips: structure of the matrix, and of the same with a panel for each image and A'Pv as first
+        row of the border, as pieces of points fill it: its offsets count rows.
     size: number of columns.
     width: columns of each image, one of `WIDTHS`.
     """
@@ -84,7 +84,7 @@ def layout(network: Network, ray_start: Integers) -> Layout:
     point_columns = column + np.arange(3 * len(kept_points)).reshape(-1, 3)
     column += point_columns.size
     reach, border = width * (last + 1), column - width * count
-    strips = envelope(reach, width, border, width, lens)
+    strips = envelope(reach, width, 1 + border, width, lens)
     return Layout(
         image_columns,
         own_columns,

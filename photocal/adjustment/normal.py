@@ -7,8 +7,9 @@ import numpy as np
 
 from photocal.adjustment import observations
 from photocal.adjustment.equations import Equations, add_equations
-from photocal.adjustment.kernels.data import WIDTHS, Design, Eliminated, Values
+from photocal.adjustment.kernels.data import WIDTHS, Design, Eliminated, Reduced, Values
 from photocal.adjustment.kernels.elimination import Contribution, accumulate, join
+from photocal.adjustment.kernels.lanes import padded
 from photocal.adjustment.layout import Layout, layout
 from photocal.adjustment.network import Network, own_parameters
 from photocal.adjustment.state import State, lens_by_image, lenses, turn_basis
@@ -197,18 +198,17 @@ def add_rays(
     structure, strips = problem.layout.envelope, problem.layout.strips
     first, last = design.reach.T
     start = np.concatenate([[0], np.cumsum(strips.offset[last] - strips.offset[first])])
-    room = np.zeros((int(start[-1]), problem.layout.width))
-    corners = np.zeros((len(first), structure.border, structure.border))
-    gradients = np.zeros((len(first), problem.layout.size))
-    parts = []
-    for base, corner, gradient in zip(start[:-1] - strips.offset[first], corners, gradients, strict=True):
-        of_images, of_cameras = np.split(gradient, [structure.band])
-        of_images = of_images.reshape(-1, problem.layout.width)
-        parts.append(Contribution(int(base), room, corner, of_images, of_cameras))
+    room = np.zeros((int(start[-1]), padded(problem.layout.width)))
+    corners = np.zeros((len(first), strips.border, padded(strips.border)))
+    bases = start[:-1] - strips.offset[first]
+    parts = [Contribution(int(base), room, corner) for base, corner in zip(bases, corners, strict=True)]
     total = accumulate(design, values, strips, damping, parts, kept)
-    join(design, strips, structure, start, room, matrix)
-    matrix[structure.offset[-2] :] += corners.sum(axis=0).ravel()
-    return gradients.sum(axis=0), total
+    gradient = np.zeros(problem.layout.size)
+    join(design, strips, Reduced(structure, matrix, gradient), start, room)
+    corner = corners.sum(axis=0)[1:]
+    gradient[structure.band :] = corner[:, 0]
+    matrix[structure.offset[-2] :] += corner[:, 1 : 1 + structure.border].ravel()
+    return gradient, total
 
 
 def normal_equations(

@@ -16,7 +16,6 @@ from typing import Any, TypeVar, cast
 import numba
 from llvmlite import ir
 from numba import types
-from numba.core.compiler import Compiler
 from numba.extending import intrinsic
 
 from photocal.base.errors import OutputError, ProgramMissingError
@@ -136,19 +135,6 @@ def compile_ahead() -> None:
 def compiled(function: Function) -> Function:
     """Compile a function of numbers and arrays that makes no arrays."""
     return _compiled(function, **_LEAN)
-
-
-class _Apart(Compiler):
-    """Tells the compiler that no array of a kernel lies over another, as for its own parallel loops."""
-
-    def __init__(self, *parts: Any) -> None:
-        super().__init__(*parts)  # type: ignore[no-untyped-call]
-        self.state.flags.noalias = True
-
-
-def apart(function: Function) -> Function:
-    """Compile a function as `compiled` does whose arrays share no memory with those that it writes to."""
-    return _compiled(function, **_LEAN, pipeline_class=_Apart)
 
 
 def _fetch(_: Any, array: Any, place: Any) -> Any:

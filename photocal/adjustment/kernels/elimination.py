@@ -1,14 +1,15 @@
 """Normal equations of the rays, the points eliminated as they pass."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns, width
+from photocal.adjustment.kernels.data import Design, Eliminated, Reduced, Structure, Values, columns, width
+from photocal.adjustment.kernels.lanes import LANES, filled, load, none, padded, plus, store
 from photocal.adjustment.kernels.ray import corner_of, inverse3, ray_rows
 from photocal.base.arrays import Floats, Integers
-from photocal.base.compiled import apart, compiled, each_piece, fetch, inlined
+from photocal.base.compiled import compiled, each_piece, fetch, inlined
 from photocal.geometry.lens import Scratch, scratch
 
 # So many points before they are worked on, their places in memory are asked for.
@@ -16,19 +17,15 @@ AHEAD = 2
 
 
 class Contribution(NamedTuple):
-    """What the points of one piece give to the reduced normal equations.
+    """What the points of one piece give to the reduced normal equations, A'Pv as a first row and column.
 
-    strips (rows, columns of an image), base: to the images, from this row less the piece's first offset on.
-        Rows of known length and arrays that lie apart let the compiler use the processor's vectors.
-    corner (border, border): to the border.
-    images (images, columns of an image), cameras (border,): to A'Pv.
+    base, strips (rows, columns of an image): to the images, from this row less the piece's first offset on.
+    corner (1 + border, 1 + border): to the border, below the diagonal.
     """
 
     base: int
     strips: Floats
     corner: Floats
-    images: Floats
-    cameras: Floats
 
 
 class Rows(NamedTuple):
@@ -36,22 +33,23 @@ class Rows(NamedTuple):
 
     ray: derivatives of one ray.
     block (3, 3): normal equations of the point itself.
-    image, point (rays, 2, n): columns of each ray's own image and of the point.
-    lens (rays, 2, lens + 1): columns of the cameras; the last one is the residual.
-    less, free (3 and 2, lens + 1): by how much the point follows each of these columns, and what of them one
-        ray's rows then have left.
-    scaled (2, 3), other (2, columns of an image): one ray's rows of the point and of the image, transformed.
+    point (rays, 2, 3): columns of the point.
+    image (rays, 2, n): those of each ray's own image, in whole lanes, as all that follows.
+    lens (rays, 2, 1 + lens): the residual, then the columns of the cameras.
+    mixed, less (3, 1 + lens): normal matrix between the point and these; by how much it follows them.
+    free (2, 1 + lens): what of one ray's rows is then left.
+    near (3, n): normal matrix between the point and one ray's image.
     """
 
     ray: Scratch
     block: Floats
-    image: Floats
     point: Floats
+    image: Floats
     lens: Floats
+    mixed: Floats
     less: Floats
     free: Floats
-    scaled: Floats
-    other: Floats
+    near: Floats
 
 
 def most_rays(design: Design) -> int:
@@ -66,11 +64,13 @@ def fetch_point(design: Design, values: Values, kept: Eliminated, j: int) -> Non
     fetch(values.points, 3 * j)
     fetch(design.point_free, 3 * j)
     fetch(design.prior_points, 3 * j)
+    fetch(design.point_column, j)
+    fetch(kept.singular, j)
     fetch(kept.gradient, 3 * j)
     for line in range(0, 16, 8):
         fetch(design.prior_weight, 9 * j + line)
         fetch(kept.inverse, 9 * j + line)
-    for r in range(begin, end, 4):
+    for r in range(begin, end + 3, 4):
         fetch(design.plane, 2 * r)
         fetch(design.weight, 2 * r)
         fetch(design.ray_image, r)
@@ -104,40 +104,60 @@ def own_block(design: Design, values: Values, j: int, block: Floats, side: Float
 
 
 @inlined
-def add_ray(
-    design: Design,
-    structure: Structure,
-    r: int,
-    j: int,
-    residual: tuple[float, float],
-    rows: Rows,
-    kept: Eliminated,
+def put_ray(
+    design: Design, structure: Structure, r: int, n: int, residual: tuple[float, float], rows: Rows
 ) -> None:
-    """Add one ray to the normal equations of its point, and put its rows among those of the point."""
-    room, block = rows.ray, rows.block
-    i, n, lens = design.ray_image[r], r - design.ray_start[j], structure.lens
-    k = design.image_lens[i]
-    at = design.active_column[k]
+    """Put the rows of a ray, whose derivatives are in the room, as the nth among those of its point."""
+    room, image, point, lens = rows.ray, rows.image, rows.point, rows.lens
+    k, span = design.image_lens[design.ray_image[r]], lens.shape[2]
     for x in range(2):
         root = np.sqrt(design.weight[r, x])
         for b in range(columns(design)):
-            rows.image[n, x, b] = root * room.by_image[x, b]
+            image[n, x, b] = root * room.by_image[x, b]
         for b in range(3):
-            rows.point[n, x, b] = root * room.by_point[x, b]
-        for s in range(lens):
-            rows.lens[n, x, s] = 0.0
+            point[n, x, b] = root * room.by_point[x, b]
+        for q in range(0, 1 + structure.lens, LANES):
+            store(lens, span * (2 * n + x) + q, none())
+        lens[n, x, 0] = root * residual[x]
         for s in range(design.active_count[k]):
-            rows.lens[n, x, at + s] = root * room.by_camera[x, design.active[k, s]]
-        rows.lens[n, x, lens] = root * (residual[1] if x else residual[0])
+            lens[n, x, 1 + design.active_column[k] + s] = root * room.by_camera[x, design.active[k, s]]
+
+
+@inlined
+def across(total: Any, point: Floats, n: int, a: int, x: Any, y: Any) -> Any:
+    """Add what relates a coordinate of the point to columns whose two rows of its nth ray are given."""
+    return plus(plus(total, point[n, 0, a], x), point[n, 1, a], y)
+
+
+@inlined
+def along(total: Any, sign: float, matrix: Floats, n: int, a: int, u: Any, v: Any, w: Any) -> Any:
+    """Add or subtract rows u, v, w, each times its element in row a of the nth matrix."""
+    total = plus(plus(total, sign * matrix[n, a, 0], u), sign * matrix[n, a, 1], v)
+    return plus(total, sign * matrix[n, a, 2], w)
+
+
+@inlined
+def relate(structure: Structure, j: int, count: int, rows: Rows, kept: Eliminated) -> None:
+    """Add up the normal equations of a point of so many rays, and what relates it to the cameras."""
+    block, point, lens, mixed = rows.block, rows.point, rows.lens, rows.mixed
+    span = mixed.shape[1]
+    for n in range(count):
+        for a in range(3):
+            for b in range(a + 1):
+                block[a, b] += point[n, 0, a] * point[n, 0, b] + point[n, 1, a] * point[n, 1, b]
+    for q in range(0, 1 + structure.lens, LANES):
+        u, v, w = none(), none(), none()
+        for n in range(count):
+            x, y = load(lens, span * 2 * n + q), load(lens, span * (2 * n + 1) + q)
+            u, v, w = across(u, point, n, 0, x, y), across(v, point, n, 1, x, y), across(w, point, n, 2, x, y)
+        store(mixed, q, u)
+        store(mixed, span + q, v)
+        store(mixed, 2 * span + q, w)
     for a in range(3):
-        px, py = rows.point[n, 0, a], rows.point[n, 1, a]
-        kept.gradient[j, a] += px * rows.lens[n, 0, lens] + py * rows.lens[n, 1, lens]
-        for b in range(3):
-            block[a, b] += px * rows.point[n, 0, b] + py * rows.point[n, 1, b]
-        for b in range(columns(design)):
-            kept.mixed[r, a, b] = px * rows.image[n, 0, b] + py * rows.image[n, 1, b]
-        for s in range(lens):
-            kept.mixed_border[j, a, s] += px * rows.lens[n, 0, s] + py * rows.lens[n, 1, s]
+        mixed[a, 0] += kept.gradient[j, a]
+        kept.gradient[j, a] = mixed[a, 0]
+        for s in range(structure.lens):
+            kept.mixed_border[j, a, s] = mixed[a, 1 + s]
 
 
 @inlined
@@ -149,55 +169,58 @@ def eliminate(
     With B, A, C the columns of the point, the images and the cameras with the residual, and V the point's own
     normal equations: (A, C)' (C - B V^-1 B' C) and A' (1 - B V^-1 B') A. Where V^-1 is zero, all of it.
     """
-    strips, corner, images, cameras = sums.strips, sums.corner, sums.images, sums.cameras
-    lens, width, image, point, free = structure.lens, columns(design), rows.image, rows.point, rows.free
-    begin, end = design.ray_start[j], design.ray_start[j + 1]
-    mixed, inverse, less, scaled, other = kept.mixed_border, kept.inverse, rows.less, rows.scaled, rows.other
-    for a in range(3):
-        i0, i1, i2 = inverse[j, a, 0], inverse[j, a, 1], inverse[j, a, 2]
-        for s in range(lens):
-            less[a, s] = i0 * mixed[j, 0, s] + i1 * mixed[j, 1, s] + i2 * mixed[j, 2, s]
-        less[a, lens] = i0 * kept.gradient[j, 0] + i1 * kept.gradient[j, 1] + i2 * kept.gradient[j, 2]
-    for n in range(end - begin):
+    (base, strips, corner), inverse = sums, kept.inverse
+    _, _, point, image, lens, mixed, less, free, near = rows
+    wide, tall, span, edge = columns(design), filled(columns(design)), mixed.shape[1], corner.shape[1]
+    begin, count = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
+    for q in range(0, 1 + structure.lens, LANES):
+        u, v, w = load(mixed, q), load(mixed, span + q), load(mixed, 2 * span + q)
+        for a in range(3):
+            store(less, span * a + q, along(none(), -1.0, inverse, j, a, u, v, w))
+    for n in range(count):
         i = design.ray_image[begin + n]
         k, column = design.image_lens[i], design.image_column[i]
-        for x in range(2):
-            p0, p1, p2 = point[n, x, 0], point[n, x, 1], point[n, x, 2]
-            for s in range(lens + 1):
-                free[x, s] = rows.lens[n, x, s] - (p0 * less[0, s] + p1 * less[1, s] + p2 * less[2, s])
-            for a in range(3):
-                scaled[x, a] = inverse[j, a, 0] * p0 + inverse[j, a, 1] * p1 + inverse[j, a, 2] * p2
-        at, count = design.active_column[k], design.active_count[k]
-        for s in range(at, at + count):
-            cx, cy = rows.lens[n, 0, s], rows.lens[n, 1, s]
-            cameras[s] += cx * free[0, lens] + cy * free[1, lens]
-            for t in range(at + count):
-                corner[s, t] += cx * free[0, t] + cy * free[1, t]
-        strip = column // width
-        top = sums.base + structure.offset[strip]
-        foot = top + structure.last[strip] - column
-        for b in range(width):
-            images[strip, b] += image[n, 0, b] * free[0, lens] + image[n, 1, b] * free[1, lens]
-        for s in range(lens):
-            for b in range(width):
-                strips[foot + s, b] += free[0, s] * image[n, 0, b] + free[1, s] * image[n, 1, b]
-        for m in range(end - begin):
-            below = design.image_column[design.ray_image[begin + m]] - column
-            if below < 0:
-                continue
+        for q in range(0, 1 + structure.lens, LANES):
+            u, v, w = load(less, q), load(less, span + q), load(less, 2 * span + q)
             for x in range(2):
-                s0, s1, s2 = scaled[x, 0], scaled[x, 1], scaled[x, 2]
-                gx = -(point[m, 0, 0] * s0 + point[m, 0, 1] * s1 + point[m, 0, 2] * s2)
-                gy = -(point[m, 1, 0] * s0 + point[m, 1, 1] * s1 + point[m, 1, 2] * s2)
-                if m == n and x == 0:
-                    gx += 1.0
-                elif m == n:
-                    gy += 1.0
-                for a in range(width):
-                    other[x, a] = gx * image[m, 0, a] + gy * image[m, 1, a]
-            for a in range(width):
-                for b in range(width):
-                    strips[top + below + a, b] += other[0, a] * image[n, 0, b] + other[1, a] * image[n, 1, b]
+                part = load(lens, span * (2 * n + x) + q)
+                store(free, span * x + q, along(part, 1.0, point, n, x, u, v, w))
+        first = 1 + design.active_column[k]
+        last = first + design.active_count[k]
+        for q in range(0, last, LANES):
+            x, y = load(free, q), load(free, span + q)
+            for s in range(max(first, q), last):
+                part = plus(load(corner, edge * s + q), lens[n, 0, s], x)
+                store(corner, edge * s + q, plus(part, lens[n, 1, s], y))
+        strip = column // wide
+        top = tall * (base + structure.offset[strip])
+        foot = top + tall * (structure.last[strip] - column)
+        for q in range(0, tall, LANES):
+            x, y = load(image, tall * 2 * n + q), load(image, tall * (2 * n + 1) + q)
+            for s in range(1 + structure.lens):
+                part = plus(load(strips, foot + tall * s + q), free[0, s], x)
+                store(strips, foot + tall * s + q, plus(part, free[1, s], y))
+            u, v, w = none(), none(), none()
+            u, v, w = across(u, point, n, 0, x, y), across(v, point, n, 1, x, y), across(w, point, n, 2, x, y)
+            store(near, q, u)
+            store(near, tall + q, v)
+            store(near, 2 * tall + q, w)
+            a = along(none(), -1.0, inverse, j, 0, u, v, w)
+            b = along(none(), -1.0, inverse, j, 1, u, v, w)
+            c = along(none(), -1.0, inverse, j, 2, u, v, w)
+            for m in range(count):
+                to = top + tall * (design.image_column[design.ray_image[begin + m]] - column) + q
+                if to < top:
+                    continue
+                own = 1.0 if m == n else 0.0
+                of_x = along(plus(none(), own, x), 1.0, point, m, 0, a, b, c)
+                of_y = along(plus(none(), own, y), 1.0, point, m, 1, a, b, c)
+                for s in range(wide):
+                    part = plus(load(strips, to + tall * s), image[m, 0, s], of_x)
+                    store(strips, to + tall * s, plus(part, image[m, 1, s], of_y))
+        for s in range(wide):
+            for x in range(3):
+                kept.mixed[begin + n, x, s] = near[x, s]
 
 
 @inlined
@@ -205,25 +228,23 @@ def retain(
     design: Design, structure: Structure, j: int, block: Floats, sums: Contribution, kept: Eliminated
 ) -> None:
     """Add the normal equations of a point that stays among the unknowns of the border."""
-    strips, corner, cameras = sums.strips, sums.corner, sums.cameras
-    width, at = columns(design), design.point_column[j]
+    base, strips, corner = sums
+    width, at = columns(design), 1 + design.point_column[j]
     for a in range(3):
-        cameras[at + a] += kept.gradient[j, a]
+        corner[at + a, 0] += kept.gradient[j, a]
         for b in range(a + 1):
             corner[at + a, at + b] += block[a, b]
         # The cameras' columns come before those of the points.
         for s in range(structure.lens):
-            corner[at + a, s] += kept.mixed_border[j, a, s]
+            corner[at + a, 1 + s] += kept.mixed_border[j, a, s]
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
             column = design.image_column[design.ray_image[r]]
-            foot = sums.base + structure.offset[column // width] + structure.last[column // width] - column
+            foot = base + structure.offset[column // width] + structure.last[column // width] - column
             for b in range(width):
                 strips[foot + at + a, b] += kept.mixed[r, a, b]
-        for b in range(3):
-            kept.inverse[j, a, b] = 0.0
 
 
-@apart
+@compiled
 def accumulate_piece(
     design: Design,
     values: Values,
@@ -238,25 +259,26 @@ def accumulate_piece(
     total, end, block = 0.0, design.pieces[piece + 1], rows.block
     for nth in range(design.pieces[piece], end):
         j = design.order[nth]
+        fetch(design.ray_start, design.order[min(nth + 2 * AHEAD, end - 1)])
         fetch_point(design, values, kept, design.order[min(nth + AHEAD, end - 1)])
         total += own_block(design, values, j, block, kept.gradient[j])
-        for a in range(3):
-            for s in range(structure.lens):
-                kept.mixed_border[j, a, s] = 0.0
-        for r in range(design.ray_start[j], design.ray_start[j + 1]):
+        first = design.ray_start[j]
+        for r in range(first, design.ray_start[j + 1]):
             vx, vy = ray_rows(design, values, r, design.ray_image[r], j, rows.ray)
             total += design.weight[r, 0] * vx * vx + design.weight[r, 1] * vy * vy
             if not rows.ray.depth[0] > 0.0:
                 total = np.inf
-            add_ray(design, structure, r, j, (vx, vy), rows, kept)
-        kept.singular[j] = False
-        if design.point_column[j] >= 0:
-            retain(design, structure, j, block, sums, kept)
-        else:
-            for a in range(3):
-                block[a, a] *= 1.0 + damping
-            kept.singular[j] = not inverse3(block, kept.inverse, j)
+            put_ray(design, structure, r, r - first, (vx, vy), rows)
+        relate(structure, j, design.ray_start[j + 1] - first, rows, kept)
+        stays = design.point_column[j] >= 0
+        for a in range(3):
+            block[a, a] *= 1.0 if stays else 1.0 + damping
+            for b in range(3):
+                kept.inverse[j, a, b] = 0.0
+        kept.singular[j] = not stays and not inverse3(block, kept.inverse, j)
         eliminate(design, structure, j, sums, kept, rows)
+        if stays:
+            retain(design, structure, j, block, sums, kept)
     return total
 
 
@@ -274,12 +296,20 @@ def accumulate(
     parts: receive what each piece gives.
     """
     totals = np.zeros(len(parts))
-    rays, lens, wide = most_rays(design), structure.lens + 1, width(design)
+    rays, lens, wide = most_rays(design), padded(1 + structure.lens), padded(width(design))
 
     def work(piece: int) -> None:
         """One piece of the rays, or one share of the strips: they run side by side."""
-        shapes = (rays, 2, wide), (rays, 2, 3), (rays, 2, lens), (3, lens), (2, lens), (2, 3), (2, wide)
-        rows = Rows(scratch(wide), np.zeros((3, 3)), *map(np.zeros, shapes))
+        shapes = [
+            (3, 3),
+            (rays, 2, 3),
+            (rays, 2, wide),
+            (rays, 2, lens),
+            *[(3, lens)] * 2,
+            (2, lens),
+            (3, wide),
+        ]
+        rows = Rows(scratch(width(design)), *map(np.zeros, shapes))
         totals[piece] = accumulate_piece(design, values, structure, damping, piece, parts[piece], kept, rows)
 
     each_piece(len(parts), work)
@@ -288,16 +318,10 @@ def accumulate(
 
 @compiled
 def join_strips(
-    design: Design,
-    strips: Structure,
-    structure: Structure,
-    start: Integers,
-    pieces: Floats,
-    begin: int,
-    end: int,
-    matrix: Floats,
+    design: Design, strips: Structure, reduced: Reduced, start: Integers, pieces: Floats, begin: int, end: int
 ) -> None:
     """Add what the pieces have given to the columns of some images, see `join`."""
+    structure, matrix, gradient = reduced
     wide, border = columns(design), structure.border
     for strip in range(begin, end):
         column, rows = strip * wide, strips.last[strip] - strip * wide
@@ -306,16 +330,18 @@ def join_strips(
             if strip < design.reach[piece, 0] or strip >= design.reach[piece, 1]:
                 continue
             at = start[piece] - strips.offset[design.reach[piece, 0]] + strips.offset[strip]
-            for row in range(rows + border):
-                to = corner + row * step if row < rows else foot + (row - rows) * step
+            for row in range(rows):
                 for b in range(wide):
-                    matrix[to + b] += pieces[at + row, b]
+                    matrix[corner + row * step + b] += pieces[at + row, b]
+            at += rows
+            for b in range(wide):
+                gradient[column + b] += pieces[at, b]
+                for row in range(border):
+                    matrix[foot + row * step + b] += pieces[at + 1 + row, b]
 
 
-def join(
-    design: Design, strips: Structure, structure: Structure, start: Integers, pieces: Floats, matrix: Floats
-) -> None:
-    """Add what the pieces have given, in their order, to the reduced matrix.
+def join(design: Design, strips: Structure, reduced: Reduced, start: Integers, pieces: Floats) -> None:
+    """Add what the pieces have given to the images, in their order, to the reduced normal equations.
 
     strips: structure of the pieces' values: a panel for each image.
     """
@@ -323,6 +349,6 @@ def join(
 
     def work(share: int) -> None:
         """One piece of the rays, or one share of the strips: they run side by side."""
-        join_strips(design, strips, structure, start, pieces, shares[share], shares[share + 1], matrix)
+        join_strips(design, strips, reduced, start, pieces, shares[share], shares[share + 1])
 
     each_piece(len(shares) - 1, work)
