@@ -84,7 +84,6 @@ class Candidates:
 
     given: what the values of what images share bring, as the network states them.
     beside: places of what has been accepted before and is estimated with all else.
-    lengths (e,): of what each added unknown changes, weighted and squared, whatever follows.
     """
 
     adjusted: AdjustedNetwork
@@ -94,7 +93,6 @@ class Candidates:
     fields: tuple[RayField, ...]
     beside: tuple[int, ...]
     members: tuple[Member, ...]
-    lengths: Floats
 
     @property
     def network(self) -> Network:
@@ -171,7 +169,7 @@ class Candidates:
         if not added:
             return 0.0, 0
         beside = self.beyond(causes)
-        scale = np.sqrt(self.lengths[added])
+        scale = np.sqrt(self.whole.lengths[added])
         left, axes = np.linalg.eigh(beside.matrix[np.ix_(added, added)] / np.outer(scale, scale))
         kept = left > LEFT
         root = np.sqrt(left[kept])
@@ -204,7 +202,9 @@ class Candidates:
         for cause in causes:
             (k,) = cause.added
             most = np.inf if cause.field is None else cause.field.most
-            if not (left[k] > LEFT * self.lengths[k] and (np.isinf(most) or left[k] * most**2 >= _FOUND)):
+            if not (
+                left[k] > LEFT * self.whole.lengths[k] and (np.isinf(most) or left[k] * most**2 >= _FOUND)
+            ):
                 yield cause
 
 
@@ -273,16 +273,8 @@ def candidates(
     place = {point: tuple(range(first + 3 * k, first + 3 * k + 3)) for k, point in enumerate(control)}
     listed += _of_control(network, table, place, contradiction)
     again = tuple(k for k, one in enumerate(fields) if (one.code, subject_of(network, one)) in beside)
-    lengths = np.concatenate(
-        [
-            # One by one: all of them together are a large part of the memory.
-            [np.sum((row / network.rays.sigma) ** 2) for row in rays],
-            np.sum(added.positions**2, axis=1),
-            network.points.weight[rows[:, 0], rows[:, 1], rows[:, 1]],
-        ]
-    )
     given = observed(whole.shared, network.cameras, network.mounting)
-    made = Candidates(adjusted, whole, given, (), fields, again, members, lengths)
+    made = Candidates(adjusted, whole, given, (), fields, again, members)
     taken = set(beside)
     return replace(made, causes=made.determined([cause for cause in listed if cause.key not in taken]))
 

@@ -78,12 +78,14 @@ class System:
     """The equations of what images share (`shared`), and of what is added behind it.
 
     matrix (k + e, k + e), right (k + e,): of steps from the state; zero is the state.
+    lengths (e,): of what each added unknown changes, weighted and squared, whatever follows.
     there: what the values of what is shared bring to them, as everything that may be freed is free.
     """
 
     shared: Condensed
     matrix: Floats
     right: Floats
+    lengths: Floats
     there: Observed
 
     @property
@@ -162,18 +164,21 @@ def system(at: Factored, residuals: Floats, added: Added) -> System:
     whole = condensed(at)
     there = observed(whole, whole.cameras, whole.mounting)
     if not added.count:
-        return System(whole, whole.matrix, whole.right, there)
+        return System(whole, whole.matrix, whole.right, np.zeros(0), there)
     band = at.problem.layout.envelope.band
-    steps, own, slope = _further(at, residuals, added)
+    steps, own, slope, lengths = _further(at, residuals, added)
     follow = steps[:, band:]
     across = whole.matrix @ follow.T
     corner = own + follow @ across
     matrix = np.block([[whole.matrix, across], [across.T, (corner + corner.T) / 2]])
-    return System(whole, matrix, np.concatenate([whole.right, -slope]), there)
+    return System(whole, matrix, np.concatenate([whole.right, -slope]), lengths, there)
 
 
-def _further(at: Factored, residuals: Floats, added: Added) -> tuple[Floats, Floats, Floats]:
-    """Normal equations of what is added, all else eliminated, and how the reduced system follows a unit."""
+def _further(at: Factored, residuals: Floats, added: Added) -> tuple[Floats, Floats, Floats, Floats]:
+    """How the reduced system follows a unit of what is added; its normal equations, all else eliminated.
+
+    returns: also slopes of v'Pv, and the diagonal of these equations before the elimination.
+    """
     problem, state = at.problem, at.state
     layout, points = problem.layout, problem.network.points
     t, p, k = len(added.rays), len(added.positions), len(added.control)
@@ -194,7 +199,8 @@ def _further(at: Factored, residuals: Floats, added: Added) -> tuple[Floats, Flo
     own = np.zeros((t + p + k, t + p + k))
     ray, position, control = slice(0, t), slice(t, t + p), slice(t + p, t + p + k)
     weighted = flat * weight.ravel()
-    own[ray, ray] = weighted @ flat.T - reduced_r @ steps_r.T
+    whole = weighted @ flat.T
+    own[ray, ray] = whole - reduced_r @ steps_r.T
     own[ray, ray] -= points_r.reshape(t, -1) @ moved_r.reshape(t, -1).T
     own[position, position] = added.positions @ added.positions.T - reduced_p @ steps_p.T
     own[position, ray] = -reduced_p @ steps_r.T
@@ -208,7 +214,8 @@ def _further(at: Factored, residuals: Floats, added: Added) -> tuple[Floats, Flo
     own[control, control] = same - np.einsum("ka,ika->ki", rows, moved_c)
     off = (state.points - points.values)[point]
     slope = np.concatenate([weighted @ residuals.ravel(), slope_p, np.einsum("ka,ka->k", rows, off)])
-    return np.vstack([steps_r, steps_p, steps_c]), (own + own.T) / 2, slope
+    lengths = [np.diag(whole), np.sum(added.positions**2, axis=1), rows[np.arange(k), axis]]
+    return np.vstack([steps_r, steps_p, steps_c]), (own + own.T) / 2, slope, np.concatenate(lengths)
 
 
 def _of_positions(at: Factored, fields: Floats) -> tuple[Floats, Floats]:

@@ -179,7 +179,7 @@ def test_what_the_unknowns_take_up_cannot_be_tested() -> None:
     these, radial = radial_of(candidates(fitted))
     assert these.determined([radial])
     # A field of nothing has no length that anything could leave of it.
-    nothing = replace(these, lengths=1e12 * these.lengths)
+    nothing = replace(these, whole=replace(these.whole, lengths=1e12 * these.whole.lengths))
     assert not nothing.determined([radial])
 
 
