@@ -4,6 +4,7 @@ Which points their rays determine: those whose rays come from places that are fa
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -65,6 +66,13 @@ class AdjustedNetwork:
     def computed(self) -> Floats:
         """Image coordinates as the unknowns give them."""
         return self.network.rays.plane + self.solution.residuals
+
+    @cached_property
+    def seen(self) -> Floats:
+        """Points of the rays from their images, in the axes of the cameras, (rays, 3), m."""
+        rays, state = self.network.rays, self.state
+        apart = state.points[rays.point] - state.centre[rays.image]
+        return np.asarray(np.einsum("nij,nj->ni", state.rotation[rays.image], apart))
 
 
 def fit(network: Network, state: State | None = None) -> AdjustedNetwork:

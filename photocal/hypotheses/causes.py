@@ -228,8 +228,7 @@ def candidates(
         network, (Cause(entry) for entry in (*FAULTS, *table) if entry.frees and testable(network, entry))
     )
     opened = replace(network, cameras=free_cameras, mounting=free_mounting)
-    fields = ray_fields(network, adjusted.state, adjusted.computed, near)
-    fields += bent_rays(network, adjusted.state)
+    fields = ray_fields(adjusted, near) + bent_rays(adjusted)
     fields = tuple(one for one in fields if any(entry.code == one.code for entry in table))
     members = member_tests(adjusted.factored, adjusted.solution) if {"image", "point"} & set(wanted) else ()
     placed = _worst(members, "position", _MOST_POSITIONS) if "image" in wanted else []

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
 from photocal.base.arrays import Floats, Integers
@@ -67,11 +68,12 @@ def change_of(values: Floats, plane: Floats, parameter: str) -> Floats:
     return np.broadcast_to(np.eye(2)[PARAMETERS.index(parameter) - 1], plane.shape).copy()
 
 
-def ray_fields(network: Network, state: State, computed: Floats, near: str = "") -> tuple[RayField, ...]:
+def ray_fields(adjusted: AdjustedNetwork, near: str = "") -> tuple[RayField, ...]:
     """List what the model of each camera does not already estimate, at the computed image coordinates.
 
     near: an image about which the place of a change of the camera is looked for more finely.
     """
+    network, state, computed = adjusted.network, adjusted.state, adjusted.computed
     camera_of_ray = network.exposures.camera[network.rays.image]
     listed = list[RayField]()
     for k, camera in enumerate(network.cameras):
@@ -83,7 +85,7 @@ def ray_fields(network: Network, state: State, computed: Floats, near: str = "")
             RayField(code, term, k, at * of_camera) for code, term, at in _of_camera(current, computed)
         ]
         if not camera.rolling:
-            listed += _rolling_shutter(network, state, computed, k)
+            listed += _rolling_shutter(adjusted, k)
         listed += _change_of_c(network, state, computed, k, near)
     return tuple(listed)
 
@@ -159,8 +161,9 @@ def _of_camera(camera: Camera, plane: Floats) -> list[tuple[str, str, Floats]]:
     return terms
 
 
-def _rolling_shutter(network: Network, state: State, computed: Floats, camera: int) -> list[RayField]:
+def _rolling_shutter(adjusted: AdjustedNetwork, camera: int) -> list[RayField]:
     """Give minus the image motion while the rows are read: per second, or per exposure interval."""
+    network, state, q = adjusted.network, adjusted.state, adjusted.seen
     images = np.flatnonzero(network.exposures.camera == camera)
     if len(images) < FEWEST_IMAGES + 1:
         return []
@@ -168,12 +171,11 @@ def _rolling_shutter(network: Network, state: State, computed: Floats, camera: i
     if motion is None:
         return []
     interior, image = network.cameras[camera], network.rays.image
-    q = np.einsum("nij,nj->ni", state.rotation[image], state.points[network.rays.point] - state.centre[image])
-    dq = -np.einsum("nij,nj->ni", state.rotation[image], motion[image])
+    dq = -np.einsum("nij,nj->ni", state.rotation, motion)[image]
     c = state.cameras[camera, 0]
     dp = -c * (dq[:, :2] / q[:, 2:] - q[:, :2] * dq[:, 2:] / q[:, 2:] ** 2)
     # Rows are read from the top; the middle row is the reference.
-    late = -computed[:, 1] / (interior.size_px[1] * interior.pitch[1])
+    late = -adjusted.computed[:, 1] / (interior.size_px[1] * interior.pitch[1])
     own = (network.exposures.camera[image] == camera)[:, None]
     return [RayField("rolling-shutter", "", camera, -dp * late[:, None] * own, unit)]
 

@@ -13,7 +13,6 @@ from photocal.adjustment.mounting import SHIFT, STRIPS
 from photocal.adjustment.network import Network
 from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.solution import Group
-from photocal.adjustment.state import State
 from photocal.base.arrays import Floats, Integers
 from photocal.base.policy import policy
 
@@ -207,7 +206,7 @@ def screened_shifts(fit: AdjustedNetwork, variance_factor: float) -> tuple[Image
     order = np.argsort(rays.image, kind="stable")
     ends = np.cumsum(shown)
     columns, sigma = np.empty((len(order), 2, 9)), rays.sigma[order]
-    _pose_derivatives(network, fit.state, order, columns[:, :, :6])
+    _pose_derivatives(fit, order, columns[:, :, :6])
     columns[:, :, 6:] = _own_geometry(fit.computed[order])
     weighted = (columns / sigma[:, :, None]).reshape(-1, 9)
     residual = (fit.solution.residuals[order] / sigma).ravel()
@@ -244,13 +243,11 @@ def screened_shifts(fit: AdjustedNetwork, variance_factor: float) -> tuple[Image
     return tuple(shifts)
 
 
-def _pose_derivatives(network: Network, state: State, rays: Integers, columns: Floats) -> None:
+def _pose_derivatives(fit: AdjustedNetwork, rays: Integers, columns: Floats) -> None:
     """Fill in (n, 2, 6), by how much ideal coordinates of some rays change with the pose of their images."""
-    image = network.rays.image[rays]
-    c = state.cameras[network.exposures.camera[image], 0]
-    axes = state.rotation[image]
-    apart = state.points[network.rays.point[rays]] - state.centre[image]
-    x, y, z = np.einsum("nij,nj->in", axes, apart)
+    image = fit.network.rays.image[rays]
+    c = fit.state.cameras[fit.network.exposures.camera[image], 0]
+    axes, (x, y, z) = fit.state.rotation[image], fit.seen[rays].T
     scale = -c / z
     for k, (here, other) in enumerate(((x, y), (y, x))):
         along, sign = -scale * here / z, 1.0 - 2.0 * k

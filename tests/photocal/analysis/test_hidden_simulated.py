@@ -111,10 +111,10 @@ def test_over_flat_ground_shutter_and_shear_are_alike() -> None:
 
 def test_no_rolling_shutter_is_suspected_where_nothing_flies_on(networks: dict[str, Simulated]) -> None:
     fitted = fit(noisy(networks["convergent"], 1))
-    kinds = [one.code for one in ray_fields(fitted.network, fitted.state, fitted.computed)]
+    kinds = [one.code for one in ray_fields(fitted)]
     assert kinds.count("rolling-shutter") <= 1
     still = replace(fitted.state, centre=np.zeros_like(fitted.state.centre))
-    assert "rolling-shutter" not in [one.code for one in ray_fields(fitted.network, still, fitted.computed)]
+    assert "rolling-shutter" not in [one.code for one in ray_fields(replace(fitted, state=still))]
 
 
 @pytest.mark.parametrize(("factor", "words", "small"), [(3.0, "too good", False), (0.4, "too poor", True)])

@@ -133,7 +133,7 @@ def test_a_field_without_images_is_that_of_images_never_flown(
     network = made()
     whole = fit(network)
     out = np.isin(np.arange(30), group)
-    fields = np.array([one.displacement for one in ray_fields(network, whole.state, whole.computed)])
+    fields = np.array([one.displacement for one in ray_fields(whole)])
     rest = Removals(whole.factored).scored(out, fields, 1e-6)
     assert rest is not None
     smaller, start = without_images(network, whole.state, out)
