@@ -101,7 +101,7 @@ def run(kind: str, name: str, seed: int) -> Any:
         return covered(DESIGNS[name], seed)
     if kind == "cost":
         # What is compiled at first use is no cost of a flight.
-        judged(kind, "warm", replace(BASE, images=9), Errors(), seed)
+        judged(kind, "warm", replace(BASE, images=30), Errors(), seed)
     if kind in ("clean", "unusual", "cost"):
         return astuple(judged(kind, name, DESIGNS[name], Errors(), seed))
     if kind == "placed":
