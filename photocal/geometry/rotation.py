@@ -92,11 +92,10 @@ def turned(matrix: Floats, turn: Floats) -> Floats:
 
 def skew(vector: Floats) -> Floats:
     """Cross product matrices of vectors (..., 3), shape (..., 3, 3)."""
-    x, y, z = np.moveaxis(vector, -1, 0)
-    matrix = np.zeros((*vector.shape, 3))
-    matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0] = x, y, z
-    matrix[..., 1, 2], matrix[..., 2, 0], matrix[..., 0, 1] = -x, -y, -z
-    return matrix
+    x, y, z = vector.T
+    zero = np.zeros_like(x)
+    # Turned over as a whole, so that the axes of the vectors come first again.
+    return np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]]).T
 
 
 def left_jacobian(turn: Floats) -> Floats:
