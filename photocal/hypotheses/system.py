@@ -59,10 +59,7 @@ class Beyond:
         raises IllPosedError: when they cannot be separated.
         """
         at = list(added)
-        try:
-            fall = float(self.right[at] @ np.linalg.solve(self.matrix[np.ix_(at, at)], self.right[at]))
-        except np.linalg.LinAlgError:
-            raise IllPosedError("the observations do not determine what is common to all images") from None
+        fall = float(self.right[at] @ _solved(self.matrix[np.ix_(at, at)], self.right[at]))
         return self.chi_squared - fall, self.degrees_of_freedom - len(at)
 
     def moved(self, added: Sequence[int], amounts: Sequence[float]) -> "Beyond":
@@ -123,10 +120,7 @@ class System:
         """
         matrix, right, chosen, chi_squared, freedom = self.equations(here, added)
         across = self.matrix[chosen, self.border :]
-        try:
-            follow = np.linalg.solve(matrix, np.column_stack([across, right]))
-        except np.linalg.LinAlgError:
-            raise IllPosedError("the observations do not determine what is common to all images") from None
+        follow = _solved(matrix, np.column_stack([across, right]))
         step = follow[:, -1]
         return Beyond(
             self.matrix[self.border :, self.border :] - across.T @ follow[:, :-1],
@@ -141,10 +135,7 @@ class System:
         raises IllPosedError: when the equations are singular.
         """
         matrix, right, chosen, chi_squared, freedom = self.equations(here, added)
-        try:
-            covariance = np.linalg.inv(matrix)
-        except np.linalg.LinAlgError:
-            raise IllPosedError("the observations do not determine what is common to all images") from None
+        covariance = _solved(matrix, np.eye(len(matrix)))
         step = np.zeros(len(self.right))
         spread = np.zeros_like(self.matrix)
         step[chosen] = covariance @ right
@@ -154,6 +145,14 @@ class System:
         extra = border + np.asarray(added, dtype=np.int64)
         of_shared = self.shared.stepped(step[:border], spread[:border, :border], chi_squared, freedom)
         return of_shared, step[extra], spread[np.ix_(extra, extra)]
+
+
+def _solved(matrix: Floats, right: Floats) -> Floats:
+    """Solve small equations; raises IllPosedError when they are singular."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        raise IllPosedError("the observations do not determine what is common to all images") from None
 
 
 def system(at: Factored, residuals: Floats, added: Added) -> System:
