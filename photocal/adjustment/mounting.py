@@ -103,7 +103,6 @@ class Attitudes(Columns):
 NO_MOUNTING = Mounting(NADIR, np.zeros(STRIPS), np.zeros(STRIPS))
 _NONE = np.zeros(0, dtype=np.int64)
 _NOTHING = np.zeros(0)
-NO_EQUATIONS = Equations(np.zeros(1, np.int64), _NONE, _NOTHING, _NOTHING, _NOTHING)
 NO_POSITIONS = Positions(
     _NONE, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), _NONE, _NOTHING, _NOTHING
 )

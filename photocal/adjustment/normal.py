@@ -18,7 +18,7 @@ from photocal.geometry.camera import MOTION, PARAMETERS
 from photocal.geometry.lens import OTHERS, optics
 
 # Pieces of work: as many as threads can be of use, but none so small that threads only wait for each other,
-# and no more elements of borders, and of strips, than this for all of them.
+# and no more elements of borders, and rows of strips, than this for all of them.
 PIECES, RAYS_IN_PIECE, BORDERS, STRIPS = 16, 10_000, 4_000_000, 24_000_000
 
 

@@ -7,7 +7,6 @@ from photocal.adjustment.lasers import laser_equations
 from photocal.adjustment.layout import Layout
 from photocal.adjustment.mounting import (
     BORESIGHT,
-    NO_EQUATIONS,
     attitude_equations,
     body_to_camera,
     common_equations,
@@ -78,7 +77,8 @@ def exposure_equations(network: Network, layout: Layout, state: State) -> Equati
     sigma = network.exposures.sigma
     image, which = np.nonzero(np.isfinite(sigma) & (sigma > 0))
     if not len(image):
-        return NO_EQUATIONS
+        nothing, none = np.zeros(0), np.zeros(0, dtype=np.int64)
+        return Equations(np.zeros(1, dtype=np.int64), none, nothing, nothing, nothing)
     turning = which < 3
     angles = angles_from_matrix(state.rotation)
     current = np.hstack([angles, state.centre])
