@@ -6,6 +6,7 @@ the fall of v'Pv, the estimates and their covariances of any other, to first ord
 """
 
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 
@@ -73,15 +74,23 @@ class Condensed:
 def condensed(at: Factored) -> Condensed:
     """Condense the normal equations of a network in which control or observations fix the datum."""
     problem, normal, state = at.problem, at.normal, at.state
-    structure = problem.layout.envelope
-    factor = np.tril(structure.panels(normal.matrix)[-1]) if structure.border else np.zeros((0, 0))
-    step = solve(structure, normal.matrix, -normal.gradient)[structure.band :]
-    matrix = factor @ factor.T
+    layout = problem.layout
+    structure = layout.envelope
+    lone = [columns for _, columns in compress(layout.camera_columns, layout.with_image)]
+    shared = np.concatenate([*lone, structure.band + np.arange(structure.border)]).astype(np.int64)
+    if lone:
+        matrix = np.asarray(np.linalg.inv(at.joint(shared)), dtype=np.float64)
+    else:
+        factor = np.tril(structure.panels(normal.matrix)[-1]) if structure.border else np.zeros((0, 0))
+        matrix = factor @ factor.T
+    step = solve(structure, normal.matrix, -normal.gradient)[shared]
+    place = np.full(layout.size + 1, -1)
+    place[shared] = np.arange(len(shared))
     return Condensed(
         matrix,
         matrix @ step,
-        tuple((active, columns - structure.band) for active, columns in problem.layout.camera_columns),
-        np.where(problem.layout.common_columns >= 0, problem.layout.common_columns - structure.band, -1),
+        tuple((active, place[columns]) for active, columns in layout.camera_columns),
+        place[layout.common_columns],
         problem.network.cameras,
         problem.network.mounting,
         state.cameras,

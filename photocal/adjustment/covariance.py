@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from photocal.adjustment.envelope import border_inverse
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.factored import Factored
 from photocal.adjustment.kernels.data import Cofactors, Structure
@@ -91,12 +90,12 @@ class Shared:
 
 
 def shared(at: Factored) -> Shared:
-    """Give what all images share its covariances, from the end of the factor: nothing else gets statistics.
+    """Give what all images share, and cameras of single ones, its covariances: nothing else gets statistics.
 
     raises IllPosedError: when a principal distance is not determined.
     """
     problem, state = at.problem, at.state
-    inverse = border_inverse(problem.layout.envelope, at.normal.matrix)
+    inverse = at.inverse_of_shared
     cameras = _camera_covariance(problem, inverse)
     require_cameras(problem, state, cameras)
     return Shared(
@@ -182,8 +181,15 @@ def blocks(columns: Integers, structure: Structure, inverse: Floats) -> Floats:
 
 def _camera_covariance(problem: Problem, inverse: Floats) -> Floats:
     covariance = np.zeros((len(problem.network.cameras), len(PARAMETERS), len(PARAMETERS)))
-    for block, (active, columns) in zip(covariance, problem.layout.camera_columns, strict=True):
-        block[np.ix_(active, active)] = blocks(columns[None, :], problem.layout.envelope, inverse)[0]
+    counts = np.array([len(active) for active, _ in problem.layout.camera_columns], dtype=np.int64)
+    # Cameras with as many parameters at once: one by one thousands would take seconds.
+    for count in np.unique(counts[counts > 0]):
+        cameras = np.flatnonzero(counts == count)
+        active, columns = (
+            np.array(each) for each in zip(*(problem.layout.camera_columns[k] for k in cameras), strict=True)
+        )
+        found = blocks(columns, problem.layout.envelope, inverse)
+        covariance[cameras[:, None, None], active[:, :, None], active[:, None, :]] = found
     return covariance
 
 

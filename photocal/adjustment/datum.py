@@ -26,6 +26,8 @@ from photocal.adjustment.normal import (
 from photocal.adjustment.state import State
 from photocal.base.arrays import Floats, Integers
 
+# Elements of a datum.
+SIMILARITY = 7
 # Steps of the whole block: so many at most, by differences over so many sigmas, as if each were resisted by
 # this much at least, until no more than this is gained, or this share of what is worth a step.
 NEWTON, SMALL, FLATTEST, CONVERGED, LITTLE = 10, 0.01, 1e-6, 1e-14, 0.01
@@ -118,15 +120,46 @@ def with_datum(problem: Problem, state: State) -> Problem:
     """Hold lightly as many columns as a free network has defects."""
     if problem.network.datum_points is None:
         return problem
+    moves = _reduced_moves(problem, state)
+    if _rays_alone(problem.network):
+        resistance = _resistance_of_rays(problem, state)
+        if np.isfinite(resistance).all():
+            return replace(problem, stiffened=datum_columns(moves, resistance))
     normal = normal_equations(problem, state)
     if not np.isfinite(normal.matrix).all():
         # Of points in a camera's own plane nothing can be judged: the solver says which.
         return problem
-    moves, _ = similarity_moves(problem, state)
     null = moves @ open_combinations(problem, normal, moves)
     if not null.shape[1]:
         return problem
     return replace(problem, stiffened=datum_columns(null, _resistance(problem, normal)))
+
+
+def _rays_alone(network: Network) -> bool:
+    """Whether nothing but rays was observed: all seven transformations are open then.
+
+    A lens that varies with the distance, or a known motion, sees the scale.
+    """
+    others = [network.relations.kind, network.positions.image, network.attitudes.image]
+    others += [network.lasers.image, network.rig.first]
+    exposures, points = network.exposures, network.points
+    free = np.isinf(exposures.sigma).all() and not points.held.any() and not points.weight.any()
+    scaled = exposures.motion is not None or any(camera.focus_m for camera in network.cameras)
+    return bool(free) and not scaled and not any(map(len, others))
+
+
+def _resistance_of_rays(problem: Problem, state: State) -> Floats:
+    """About what resists each unknown of the reduced system where the points do not follow."""
+    rays, exposures, layout = problem.network.rays, problem.network.exposures, problem.layout
+    away = state.points[rays.point] - state.centre[rays.image]
+    deep = -np.einsum("ni,ni->n", state.rotation[rays.image, 2], away)
+    weight = (state.cameras[exposures.camera, 0][rays.image] / rays.sigma[:, 0]) ** 2
+    count = len(exposures.camera)
+    result = np.zeros(layout.size)
+    result[layout.image_columns[:, :3]] = np.bincount(rays.image, weight, count)[:, None]
+    with np.errstate(divide="ignore"):
+        result[layout.image_columns[:, 3:]] = np.bincount(rays.image, weight / deep**2, count)[:, None]
+    return result
 
 
 def datum_columns(null: Floats, resistance: Floats) -> Integers:
@@ -135,23 +168,37 @@ def datum_columns(null: Floats, resistance: Floats) -> Integers:
     return np.asarray(np.sort(order[: null.shape[1]]).astype(np.int64))
 
 
-def inner_state(problem: Problem, normal: Normal, state: State, start: State) -> State:
-    """Move a free network by a similarity so that its datum points come closest to their start values."""
-    chosen = _datum_points(problem.network)
-    open_ones = _open_ones(problem, normal, similarity_moves(problem, state)[0])
+def inner_state(problem: Problem, normal: Normal | None, state: State, start: State) -> State:
+    """Move a free network by a similarity so that its datum points come closest to their start values.
+
+    normal: may be None where all of the datum is open.
+    """
+    named = problem.network.datum_points
+    chosen = slice(None) if named is None or not len(named) else named
+    open_ones = _open_ones(problem, normal, _reduced_moves(problem, state))
     for _ in range(50):
         _, points = similarity_moves(problem, state)
-        datum_moves = (points @ open_ones)[chosen].reshape(-1, open_ones.shape[1])
+        datum_moves = (points[chosen] @ open_ones).reshape(-1, open_ones.shape[1])
         away = (start.points - state.points)[chosen].ravel()
-        change = np.linalg.lstsq(datum_moves, away, rcond=None)[0]
+        # So well determined are they that squares lose nothing that a step more would not bring back.
+        size = np.linalg.norm(datum_moves, axis=0)
+        square = (datum_moves.T @ datum_moves) / np.outer(size, size)
+        change = np.linalg.lstsq(square, datum_moves.T @ away / size, rcond=None)[0] / size
         state = _transformed(state, open_ones @ change)
         if np.abs(datum_moves @ change).max() < 1e-12 * np.ptp(state.points):
             break
     return state
 
 
-def _open_ones(problem: Problem, normal: Normal, moves: Floats) -> Floats:
+def wholly_open(problem: Problem) -> bool:
+    """Whether the whole datum is open, so that nobody need ask the normal equations which part is."""
+    return len(problem.stiffened) == SIMILARITY
+
+
+def _open_ones(problem: Problem, normal: Normal | None, moves: Floats) -> Floats:
     """Open combinations, without the stiffening that would close them."""
+    if wholly_open(problem) or normal is None:
+        return np.diag(1.0 / np.linalg.norm(moves, axis=0))
     diagonal = diagonal_addresses(problem)[problem.stiffened]
     bare = normal.matrix.copy()
     bare[diagonal] /= 2.0
@@ -250,7 +297,7 @@ def correction(problem: Problem, normal: Normal, bare_normal: Normal, state: Sta
     reduced, points = similarity_moves(problem, state)
     open_ones = _open_ones(problem, bare_normal, reduced)
     reduced, points = reduced @ open_ones, points @ open_ones
-    chosen = _datum_points(problem.network)
+    chosen, count = _datum_points(problem.network), open_ones.shape[1]
     right = np.zeros_like(points)
     right[chosen] = points[chosen]
     of_kept = np.zeros_like(reduced.T)
@@ -258,9 +305,11 @@ def correction(problem: Problem, normal: Normal, bare_normal: Normal, state: Sta
     steps, moved = full_solution(problem, normal, of_kept, np.moveaxis(right, 2, 0))
     spread, point_spread = steps.T, np.moveaxis(moved, 0, 2)
     # Columns of held unknowns and unknowns that are kept stand in both parts; G counts each point once.
-    constraint = np.einsum("nak,nal->kl", right, points)
-    cofactor = np.einsum("nak,nal->kl", right, point_spread)
-    return Correction(reduced, spread, points, point_spread, np.linalg.inv(constraint), cofactor)
+    constraint, cofactor = (
+        np.reshape(right, (-1, count)).T @ np.reshape(side, (-1, count)) for side in (points, point_spread)
+    )
+    inverse = np.asarray(np.linalg.inv(constraint), dtype=np.float64)
+    return Correction(reduced, spread, points, point_spread, inverse, cofactor)
 
 
 def full_solution(

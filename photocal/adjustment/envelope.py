@@ -20,8 +20,9 @@ from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.compiled import each_piece
 
 PANEL = 144
-# Rows of a product that are worth a thread.
-ROWS = 256
+# Rows of a product that are worth a thread, and so many threads at most; rows below a panel of a factor from
+# which on panels are worth one.
+ROWS, SHARES, LARGE = 256, 8, 2000
 Asked = ParamSpec("Asked")
 Made = TypeVar("Made")
 
@@ -113,20 +114,34 @@ def _update_later(structure: Structure, panels: list[Floats], j: int, below: Flo
     first = structure.start(j) + int(structure.width[j])
     last = int(structure.last[j]) if j < len(structure.last) else first
     border = below[:, last - first :]
-    for k in _reached(structure, max(j + 1, begin), last):
+    reached = _reached(structure, max(j + 1, begin), last)
+    large = below.shape[1] >= LARGE
+
+    def work(place: int) -> None:
+        """Subtract from one panel."""
+        k = reached[place]
         top = structure.start(k)
         stop = min(top + int(structure.width[k]), last)
         rows, target = below[:, top - first : stop - first], panels[k][:, : stop - top]
-        _subtract(target[: last - top], below[:, top - first : last - first], rows)
-        _subtract(target[int(structure.last[k]) - top :], border, rows)
+        _subtract(target[: last - top], below[:, top - first : last - first], rows, beside=large)
+        _subtract(target[int(structure.last[k]) - top :], border, rows, beside=large)
+
+    if large:
+        each_piece(len(reached), work)
+    else:
+        for place in range(len(reached)):
+            work(place)
     if structure.border and j < len(structure.last):
         _subtract(panels[-1], border, border)
 
 
-def _subtract(target: Floats, left: Floats, right: Floats) -> None:
-    """Subtract left' right from the target: (m, n) -= (k, m)' (k, n)."""
+def _subtract(target: Floats, left: Floats, right: Floats, *, beside: bool = False) -> None:
+    """Subtract left' right from the target: (m, n) -= (k, m)' (k, n).
+
+    beside: whether other threads do so, too: the library's own function would keep the interpreter's lock.
+    """
     if target.shape[0] and target.shape[1]:
-        if target.base is not None and target.T.flags.f_contiguous:
+        if not beside and target.base is not None and target.T.flags.f_contiguous:
             blas.dgemm(-1.0, right, left, beta=1.0, c=target.T, trans_a=1, overwrite_c=1)
         else:
             target -= left.T @ right
@@ -215,41 +230,42 @@ def _invert(structure: Structure, factors: list[Floats], results: list[Floats]) 
         if len(factors[j]) == width:
             continue
         scaled = factors[j][width:] @ root
-        below = _gathered(structure, results, j)
-        product = _times(below, scaled)
+        product = _by_inverse(structure, results, j, scaled)
         results[j][width:] = -product
         results[j][:width] += scaled.T @ product
 
 
-def _times(square: Floats, right: Floats) -> Floats:
-    """Product with a large matrix, by threads of ours that share its rows."""
-    product = np.empty_like(right)
-    shares = np.linspace(0, len(square), 1 + math.ceil(len(square) / ROWS)).astype(np.int64)
+def _by_inverse(structure: Structure, results: list[Floats], j: int, right: Floats) -> Floats:
+    """Product of a matrix with the inverse among the rows below panel j, of which the lower triangle is kept.
+
+    Panel by panel: to make the symmetric matrix whole takes as long as the product. Shares of the panels,
+    which threads take, do not depend on the number of threads: the product has the same digits with any.
+    """
+    first = structure.start(j) + int(structure.width[j])
+    last = int(structure.last[j])
+    band = last - first
+    panels = _reached(structure, j + 1, last)
+    shares = np.zeros((min(SHARES, 1 + len(right) // ROWS), *right.shape))
 
     def work(share: int) -> None:
-        """Multiply one share of the rows."""
-        rows = slice(shares[share], shares[share + 1])
-        np.matmul(square[rows], right, out=product[rows])
+        """Multiply by one share of the panels."""
+        part = shares[share]
+        for k in panels[share :: len(shares)]:
+            top = structure.start(k)
+            stop = min(top + int(structure.width[k]), last)
+            here, later = slice(top - first, stop - first), slice(stop - first, band)
+            panel = results[k][:, : stop - top]
+            own, below = panel[: stop - top], panel[stop - top : last - top]
+            border = panel[int(structure.last[k]) - top :]
+            part[here] += own @ right[here]
+            part[here] += below.T @ right[later]
+            part[here] += border.T @ right[band:]
+            part[later] += below @ right[here]
+            part[band:] += border @ right[here]
 
-    each_piece(len(shares) - 1, work)
-    return product
-
-
-def _gathered(structure: Structure, results: list[Floats], j: int) -> Floats:
-    """Inverse among the rows below panel j, full and symmetric."""
-    first = structure.start(j) + int(structure.width[j])
-    last, border = int(structure.last[j]), structure.border
-    band = last - first
-    square = np.empty((band + border, band + border))
-    for k in _reached(structure, j + 1, last):
-        top = structure.start(k)
-        stop = min(top + int(structure.width[k]), last)
-        here = slice(top - first, stop - first)
-        square[top - first : band, here] = results[k][: last - top, : stop - top]
-        square[band:, here] = results[k][int(structure.last[k]) - top :, : stop - top]
-        square[here, stop - first :] = square[stop - first :, here].T
-    square[band:, band:] = results[-1]
-    return square
+    each_piece(len(shares), work)
+    shares[0, band:] += results[-1] @ right[band:]
+    return np.asarray(shares.sum(axis=0))
 
 
 def product(structure: Structure, factor: Floats) -> Floats:

@@ -5,8 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from photocal.adjustment.datum import Correction, correction, full_solution, with_datum
-from photocal.adjustment.envelope import factorise, selected_inverse
+from photocal.adjustment.datum import Correction, correction, full_solution, wholly_open, with_datum
+from photocal.adjustment.envelope import border_inverse, factorise, selected_inverse, solve
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Normal, Problem, normal_equations, other_equations, prepare
@@ -14,6 +14,9 @@ from photocal.adjustment.rank import explain_singular
 from photocal.adjustment.solver import Minimum
 from photocal.adjustment.state import State
 from photocal.base.arrays import Floats, Integers
+
+# Elements of all cameras' columns of the inverse, to which they are found together.
+ALL_COLUMNS = 200_000_000
 
 
 @dataclass(frozen=True)
@@ -39,19 +42,45 @@ class Factored:
         """Selected inverse of the reduced system."""
         return selected_inverse(self.problem.layout.envelope, self.normal.matrix)
 
+    @property
+    def inverse_of_shared(self) -> Floats:
+        """The same for cameras and what is common: of the border alone where they all stand there."""
+        layout = self.problem.layout
+        if layout.with_image.any():
+            return self.inverse
+        return border_inverse(layout.envelope, self.normal.matrix)
+
+    def joint(self, columns: Integers) -> Floats:
+        """Covariance of some unknowns with each other, (k, k), also of images that share no point."""
+        layout = self.problem.layout
+        if (columns >= layout.envelope.band).all():
+            corner = layout.envelope.panels(border_inverse(layout.envelope, self.normal.matrix))[-1]
+            border = columns - layout.envelope.band
+            return np.asarray(corner[np.ix_(border, border)])
+        right = np.zeros((layout.size, len(columns)))
+        right[columns, np.arange(len(columns))] = 1.0
+        return solve(layout.envelope, self.normal.matrix, right)[columns]
+
     @cached_property
-    def _of_cameras(self) -> tuple[Integers, Floats, Floats]:
-        """Columns of all cameras' parameters, (k,), and those of the inverse: (k, size), (k, points, 3)."""
-        columns = np.concatenate([of_camera for _, of_camera in self.problem.layout.camera_columns])
+    def _of_cameras(self) -> tuple[Floats, Floats]:
+        """Columns of the inverse of all cameras' parameters: (k, size), (k, points, 3)."""
+        _, _, columns = self.problem.layout.camera_parameters
+        return self._inverse_columns(columns)
+
+    def _inverse_columns(self, columns: Integers) -> tuple[Floats, Floats]:
         right = np.zeros((len(columns), self.problem.layout.size))
         right[np.arange(len(columns)), columns] = 1.0
         points = np.zeros((len(columns), *self.state.points.shape))
-        return columns, *full_solution(self.problem, self.normal, right, points)
+        return full_solution(self.problem, self.normal, right, points)
 
     def camera_column(self, column: int) -> tuple[Floats, Floats]:
         """Column of the inverse that belongs to a camera's parameter, in the datum of the equations."""
-        columns, steps, moved = self._of_cameras
-        k = int(np.searchsorted(columns, column))
+        layout = self.problem.layout
+        _, _, columns = layout.camera_parameters
+        # Of thousands of cameras no memory holds all of them at once.
+        alone = len(columns) * (layout.size + self.state.points.size) > ALL_COLUMNS
+        steps, moved = self._inverse_columns(np.array([column])) if alone else self._of_cameras
+        k = 0 if alone else int(np.flatnonzero(columns == column)[0])
         return steps[k], moved[k]
 
 
@@ -71,8 +100,9 @@ def factorised(problem: Problem, minimum: Minimum) -> Factored:
     """
     state = minimum.state
     normal = minimum.normal or normal_equations(problem, state, room=minimum.room)
-    # Only a free network needs both, the matrix and its factor.
-    bare = replace(normal, matrix=normal.matrix.copy()) if len(problem.stiffened) else normal
+    # Only a network part of whose datum is open needs both, the matrix and its factor.
+    partly = len(problem.stiffened) and not wholly_open(problem)
+    bare = replace(normal, matrix=normal.matrix.copy()) if partly else normal
     if not minimum.factored and factorise(problem.layout.envelope, normal.matrix) >= 0:
         explain_singular(problem, state)
     datum = correction(problem, normal, bare, state) if len(problem.stiffened) else None

@@ -5,6 +5,7 @@ close together (a band), followed by the unknowns that touch every image (the bo
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -28,6 +29,7 @@ class Layout:
     own_columns (images, n): columns of each image's own parameters, see `own_parameters`; -1 for those that
         it does not have.
     camera_columns: for each camera the positions of its estimated parameters and their columns.
+    with_image (cameras,): whether they stand among those of its only image, see `lone_cameras`.
     common_columns (k,): column of each common value of the mounting, of the lasers, then of the heads of
         rigs; -1 for those that are no unknowns.
     kept_points (m,): points that are not eliminated because observations relate them to others.
@@ -41,6 +43,7 @@ class Layout:
     image_columns: Integers
     own_columns: Integers
     camera_columns: tuple[tuple[Integers, Integers], ...]
+    with_image: Flags
     common_columns: Integers
     kept_points: Integers
     point_columns: Integers
@@ -48,6 +51,14 @@ class Layout:
     strips: Structure
     size: int
     width: int
+
+    @cached_property
+    def camera_parameters(self) -> tuple[Integers, Integers, Integers]:
+        """Camera, position and column of each estimated parameter of the cameras, (k,)."""
+        counts = [len(active) for active, _ in self.camera_columns]
+        none = np.zeros(0, dtype=np.int64)
+        active, columns = (np.concatenate([none, *part]) for part in zip(*self.camera_columns, strict=True))
+        return np.repeat(np.arange(len(counts)), counts), active, columns
 
 
 def layout(network: Network, ray_start: Integers) -> Layout:
@@ -62,14 +73,20 @@ def layout(network: Network, ray_start: Integers) -> Layout:
     together[rig.first, rig.second] = together[rig.second, rig.first] = True
     position, last = order(csr_array(together), network.exposures.started[:, 3:])
     parameters = own_parameters(network)
-    most = parameters.shape[1]
-    width = next(width for width in WIDTHS if width >= POSE + most)
+    with_image, width = _placed(network, parameters, last)
     image_columns = width * position[:, None] + np.arange(POSE)
-    own_columns = np.where(parameters >= 0, width * position[:, None] + POSE + np.arange(most), -1)
+    own_columns = np.where(
+        parameters >= 0, width * position[:, None] + POSE + np.arange(parameters.shape[1]), -1
+    )
     camera_columns = []
     column = width * count
-    for camera in network.cameras:
+    first = np.zeros(len(network.cameras), dtype=np.int64)
+    first[network.exposures.camera] = image_columns[:, 0] + POSE
+    for k, camera in enumerate(network.cameras):
         active = np.flatnonzero(camera.estimated)
+        if with_image[k]:
+            camera_columns.append((active, first[k] + np.arange(len(active))))
+            continue
         camera_columns.append((active, column + np.arange(len(active))))
         column += len(active)
     lens = column - width * count
@@ -89,6 +106,7 @@ def layout(network: Network, ray_start: Integers) -> Layout:
         image_columns,
         own_columns,
         tuple(camera_columns),
+        with_image,
         common_columns,
         kept_points,
         point_columns,
@@ -97,6 +115,36 @@ def layout(network: Network, ray_start: Integers) -> Layout:
         column,
         width,
     )
+
+
+def lone_cameras(network: Network) -> Flags:
+    """Cameras that took one image, of which nothing else depends: none that varies or reads line by line."""
+    images = np.bincount(network.exposures.camera, minlength=len(network.cameras))
+    alike = [not camera.rolling and not camera.deviation_sigma.any() for camera in network.cameras]
+    return np.asarray((images == 1) & np.array(alike, dtype=np.bool_))
+
+
+def _placed(network: Network, parameters: Integers, last: Integers) -> tuple[Flags, int]:
+    """Which cameras stand with their image, and the columns of an image: all lone ones, or none.
+
+    Of both, what takes fewer multiplications: of the rays of a point among each other and with the border,
+    and of the factor.
+
+    parameters (images, n): each image's own ones.
+    last (images,): last image that those up to each place share a point with.
+    """
+    unknowns = np.array([np.count_nonzero(camera.estimated) for camera in network.cameras], dtype=np.int64)
+    rays, points = len(network.rays.image), max(len(network.points.values), 1)
+    reach, own, choices = last - np.arange(len(last)) + 1.0, parameters.shape[1], []
+    for alone in (np.zeros(len(unknowns), dtype=np.bool_), lone_cameras(network)):
+        most = max(own, int(unknowns[alone].max(initial=0)))
+        width = next(width for width in WIDTHS if width >= POSE + most)
+        border = int(unknowns[~alone].sum())
+        work = 2.0 * rays * width * (border + width * rays / points / 2)
+        work += float(np.sum(width * (width * reach + border) ** 2)) + border**3 / 3
+        choices.append((work, width, alone))
+    _, width, alone = min(choices, key=lambda each: each[0])
+    return alone, width
 
 
 def order(together: csr_array, centre: Floats) -> tuple[Integers, Integers]:

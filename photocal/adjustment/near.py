@@ -142,6 +142,9 @@ class Removals:
         columns[problem.layout.image_columns[out]] = True
         own_columns = problem.layout.own_columns[out]
         columns[own_columns[own_columns >= 0]] = True
+        camera = problem.network.exposures.camera[out]
+        for k in camera[problem.layout.with_image[camera]]:
+            columns[problem.layout.camera_columns[k][1]] = True
         stiffened = self._stiffened(columns)
         with self._downdated(out) as (design, normal, singular, touched):
             changed = replace(problem, design=design, held=problem.held | columns, stiffened=stiffened)

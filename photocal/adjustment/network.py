@@ -201,6 +201,18 @@ class Network:
     rig: RigHeads = NO_RIG
     lasers: LaserDistances = NO_LASERS
 
+    @cached_property
+    def lens_by_image(self) -> bool:
+        """Whether images of one camera differ by more than their exterior orientation."""
+        varied = any((camera.deviation_sigma > 0).any() for camera in self.cameras)
+        return varied or any(camera.rolling for camera in self.cameras)
+
+    @cached_property
+    def observed_cameras(self) -> Integers:
+        """Cameras of which a parameter that is estimated was observed, too."""
+        observed = [bool(np.isfinite(c.prior_sigma[c.estimated]).any()) for c in self.cameras]
+        return np.flatnonzero(observed)
+
 
 def own_sigma(network: Network) -> Floats:
     """Sigmas of each image's own parameters, shape (images, 41); 0 for those it has from its camera."""

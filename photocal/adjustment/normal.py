@@ -7,19 +7,19 @@ import numpy as np
 
 from photocal.adjustment import observations
 from photocal.adjustment.equations import Equations, add_equations
-from photocal.adjustment.kernels.data import WIDTHS, Design, Eliminated, Reduced, Values
+from photocal.adjustment.kernels.data import POSE, WIDTHS, Design, Eliminated, Reduced, Values
 from photocal.adjustment.kernels.elimination import Contribution, accumulate, join
 from photocal.adjustment.kernels.lanes import padded
 from photocal.adjustment.layout import Layout, layout
 from photocal.adjustment.network import Network, own_parameters
-from photocal.adjustment.state import State, lens_by_image, lenses, turn_basis
+from photocal.adjustment.state import State, lenses, turn_basis
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.geometry.camera import MOTION, PARAMETERS
 from photocal.geometry.lens import OTHERS, optics
 
 # Pieces of work: as many as threads can be of use, but none so small that threads only wait for each other,
-# and no more elements of borders, and rows of strips, than this for all of them.
-PIECES, RAYS_IN_PIECE, BORDERS, STRIPS = 16, 10_000, 4_000_000, 24_000_000
+# and no more elements of borders, and of strips, than this for all of them.
+PIECES, RAYS_IN_PIECE, BORDERS, STRIPS = 16, 10_000, 4_000_000, 192_000_000
 
 
 @dataclass(frozen=True)
@@ -62,12 +62,12 @@ def prepare(network: Network) -> Problem:
     where = layout(network, ray_start)
     cameras = len(network.cameras)
     # Images share the lens of their camera, unless it varies from image to image.
-    shared = not lens_by_image(network)
+    shared = not network.lens_by_image
     camera_of = np.arange(cameras) if shared else exposures.camera
-    parameters = own_parameters(network)[: len(camera_of)]
+    variant = _with_image(network, where, camera_of, shared=shared)
     lens = np.array([optics(camera) for camera in network.cameras])
     # As many axes as the place in `WIDTHS`: the first for Brown's lenses alone.
-    plain = shared and bool((lens[:, 0] < OTHERS).all())
+    plain = shared and where.width == WIDTHS[0] and bool((lens[:, 0] < OTHERS).all())
     axes = 1 if plain else len(WIDTHS) - WIDTHS[::-1].index(where.width)
     still = np.zeros((len(camera_of), len(MOTION)))
     motion = still if shared or exposures.motion is None else exposures.motion
@@ -75,6 +75,7 @@ def prepare(network: Network) -> Problem:
     for k, (positions, _) in enumerate(where.camera_columns):
         active[k, : len(positions)] = positions
     count = np.array([len(positions) for positions, _ in where.camera_columns], dtype=np.int64)
+    count[where.with_image] = 0
     point_column = np.full(len(points.values), -1)
     point_column[where.kept_points] = where.point_columns[:, 0] - where.envelope.band
     order, pieces, spans, reach = pieces_of(where, ray_start, rays.image)
@@ -91,8 +92,8 @@ def prepare(network: Network) -> Problem:
         image_lens=exposures.camera if shared else np.arange(len(exposures.camera)),
         image_column=where.image_columns[:, 0],
         pose_free=(exposures.sigma != 0).astype(float),
-        variant=np.maximum(parameters, 0),
-        variant_count=(parameters >= 0).sum(axis=1),
+        variant=np.maximum(variant, 0),
+        variant_count=(variant >= 0).sum(axis=1),
         optics=np.hstack([lens[camera_of], motion]),
         active=active[camera_of],
         active_count=count[camera_of],
@@ -110,8 +111,25 @@ def prepare(network: Network) -> Problem:
     held[: where.envelope.band] = True
     held[where.image_columns[exposures.sigma != 0]] = False
     held[where.own_columns[where.own_columns >= 0]] = False
+    for _, columns in itertools.compress(where.camera_columns, where.with_image):
+        held[columns] = False
     held[where.point_columns[points.held[where.kept_points]]] = True
     return Problem(network, where, design, held, np.zeros(0, dtype=np.int64))
+
+
+def _with_image(network: Network, where: Layout, camera_of: Integers, *, shared: bool) -> Integers:
+    """Positions of the parameters of each lens whose columns stand with its image's; -1 where it has fewer.
+
+    camera_of (lenses,): cameras, of images that do not share them.
+    """
+    result = np.full((len(camera_of), where.width - POSE), -1)
+    if not shared:
+        own = own_parameters(network)
+        result[:, : own.shape[1]] = own
+    for lens in np.flatnonzero(where.with_image[camera_of]):
+        active, _ = where.camera_columns[camera_of[lens]]
+        result[lens, : len(active)] = active
+    return result
 
 
 def pieces_of(
@@ -128,6 +146,9 @@ def pieces_of(
     rays = np.concatenate([[0], np.cumsum(np.diff(ray_start)[order])])
     most = min(PIECES, 1 + BORDERS // max(where.envelope.border, 1) ** 2)
     count = min(most, 1 + len(ray_image) // RAYS_IN_PIECE)
+    lanes = padded(where.width)
+    # Twice the matrix, and more of a small one: to fill and add up what is mostly zero takes its time, too.
+    room = min(max(2 * lanes * int(where.strips.offset[-1]), STRIPS // 6), STRIPS)
     while True:
         shares = np.linspace(0, len(ray_image), count + 1)
         pieces, spans = (np.searchsorted(starts, shares) for starts in (rays, ray_start))
@@ -139,7 +160,7 @@ def pieces_of(
             if len(points):
                 reach[piece] = first[points].min(), last[points].max()
         # Where points reach across much of a block, each piece fills much of the matrix.
-        if count == 1 or np.diff(where.strips.offset[reach], axis=1).sum() <= STRIPS:
+        if count == 1 or lanes * np.diff(where.strips.offset[reach], axis=1).sum() <= room:
             break
         count //= 2
     return order, pieces, spans, reach

@@ -25,10 +25,11 @@ def camera_equations(network: Network, layout: Layout, state: State) -> Equation
 
     Correlated ones are made independent: with S R S = S L L' S, the rows of L^-1 S^-1 have unit variance.
     """
-    columns, coefficients, residuals, weights, counts = [], [], [], [], list[int]()
-    for camera, values, (active, column) in zip(
-        network.cameras, state.cameras, layout.camera_columns, strict=True
-    ):
+    nothing = [np.zeros(0)]
+    columns, counts = [np.zeros(0, dtype=np.int64)], list[int]()
+    coefficients, residuals, weights = nothing.copy(), nothing.copy(), nothing.copy()
+    for k in network.observed_cameras:
+        camera, values, (active, column) = network.cameras[k], state.cameras[k], layout.camera_columns[k]
         weighted = np.isfinite(camera.prior_sigma[active])
         observed, sigma = column[weighted], camera.prior_sigma[active][weighted]
         residual = (values - camera.values)[active][weighted]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photocal.adjustment.datum import at_rest, full_solution, inner_state
+from photocal.adjustment.datum import at_rest, full_solution, inner_state, wholly_open
 from photocal.adjustment.envelope import factorise, solve
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.kernels.data import Eliminated
@@ -332,9 +332,11 @@ def _released(problem: Problem, minimum: Minimum, start: State) -> Minimum:
     """Move a free network onto its start values."""
     if not len(problem.stiffened):
         return minimum
-    normal = minimum.normal or normal_equations(problem, minimum.state, room=minimum.room)
+    normal = minimum.normal
+    if normal is None and not wholly_open(problem):
+        normal = normal_equations(problem, minimum.state, room=minimum.room)
     state = inner_state(problem, normal, minimum.state, start)
-    return Minimum(state, None, minimum.iterations, room=normal.kept)
+    return Minimum(state, None, minimum.iterations, room=normal.kept if normal else minimum.room)
 
 
 def reduced_step(problem: Problem, normal: Normal, damping: float) -> Floats | None:

@@ -50,7 +50,7 @@ def start_state(network: Network) -> State:
 
 
 def lenses(network: Network, state: State) -> Floats:
-    """Parameters of every lens: those of the cameras or, where `lens_by_image`, of each image.
+    """Parameters of every lens: those of the cameras or, where `Network.lens_by_image`, of each image.
 
     returns (cameras or images, 26 or 41): at the end the movement during the readout, and what shakes it.
     """
@@ -58,7 +58,7 @@ def lenses(network: Network, state: State) -> Floats:
     given = np.zeros((1, len(MOTION))) if exposures.motion is None else exposures.motion
     shakes = given.shape[1] > len(MOTION) or any(camera.shake for camera in network.cameras)
     still = len(MOTION + SHAKE if shakes else MOTION)
-    by_image, at = lens_by_image(network), len(PARAMETERS)
+    by_image, at = network.lens_by_image, len(PARAMETERS)
     of_camera = state.cameras[exposures.camera] if by_image else state.cameras
     values = np.zeros((len(of_camera), at + still))
     values[:, :at] = of_camera
@@ -80,12 +80,6 @@ def laser_values(network: Network, common: Floats) -> Floats:
     """Offset and scale of the lasers among the common values, shape (2,), or (0,) without lasers."""
     first = len(network.mounting.values)
     return common[first : first + len(network.lasers.common_sigma)]
-
-
-def lens_by_image(network: Network) -> bool:
-    """Whether images of one camera differ by more than their exterior orientation."""
-    varied = any((camera.deviation_sigma > 0).any() for camera in network.cameras)
-    return varied or any(camera.rolling for camera in network.cameras)
 
 
 def turn_basis(network: Network, state: State) -> Floats:
@@ -114,8 +108,8 @@ def moved_exposures(network: Network, layout: Layout, state: State, step: Floats
     if some.any():
         rotation[some] = matrix_from_angles(angles_from_matrix(state.rotation[some]) + pose[some, :3])
     cameras = state.cameras.copy()
-    for row, (active, columns) in zip(cameras, layout.camera_columns, strict=True):
-        row[active] += step[columns]
+    camera, active, columns = layout.camera_parameters
+    cameras[camera, active] += step[columns]
     common, unknown = state.common.copy(), layout.common_columns >= 0
     common[unknown] += step[layout.common_columns[unknown]]
     own_columns = layout.own_columns

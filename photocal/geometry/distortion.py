@@ -52,9 +52,13 @@ def undistorted(camera: Camera, measured: Floats) -> Floats:
 def slopes_of(cameras: Sequence[Camera], camera: Integers, plane: Floats) -> Floats:
     """Slopes (u, v)/-w, shape (n, 2), of what several cameras have measured; `camera` (n,): which of them."""
     slopes = np.empty(plane.shape)
+    # Sorted by camera: thousands of them would each pass through all rays.
+    order = np.argsort(camera, kind="stable")
+    first = np.searchsorted(camera[order], np.arange(len(cameras) + 1))
     for k, interior in enumerate(cameras):
-        of_camera = camera == k
-        slopes[of_camera] = undistorted(interior, plane[of_camera]) / interior.value("c")
+        if first[k] < first[k + 1]:
+            own = order[first[k] : first[k + 1]]
+            slopes[own] = undistorted(interior, plane[own]) / interior.value("c")
     return slopes
 
 

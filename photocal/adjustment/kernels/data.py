@@ -9,11 +9,12 @@ from photocal.base.compiled import inlined
 from photocal.geometry.camera import MOTION, OWN, SHAKE
 from photocal.geometry.lens import Scratch, scratch
 
-# Columns that an image may have: its exterior orientation, and room for parameters of its own. Kernels
-# are compiled for each of them, for loops of a known length are much faster; the first is that of networks
-# of Brown's lenses alone, all lines at one pose, whose kernels know no others.
+# Columns that an image may have: its exterior orientation, and room for parameters of its own (c, K1 and K2
+# of a camera that took one image, say). Kernels are compiled for each of them, for loops of a known length
+# are much faster; the first is that of networks of Brown's lenses alone, all lines at one pose, whose kernels
+# know no others.
 POSE = 6
-WIDTHS = (POSE, POSE, POSE + len(MOTION), POSE + len(MOTION + SHAKE), POSE + len(OWN))
+WIDTHS = (POSE, POSE, POSE + 3, POSE + len(MOTION), POSE + len(MOTION + SHAKE), POSE + len(OWN))
 
 
 class Design(NamedTuple):
@@ -33,10 +34,11 @@ class Design(NamedTuple):
     image_lens, image_column (images,): lens and first column of each image. Images share the lens of their
         camera; with parameters of their own, or a rolling shutter, each image has its own.
     pose_free (images, 6): 1 where a pose unknown is free, else 0.
-    variant, variant_count (lenses, n): positions of the parameters of an image's own, the first so many of
-        each row.
+    variant, variant_count (lenses, n): positions of the parameters whose columns stand with the image's, the
+        first so many of each row.
     optics (lenses, 20 or 35): from `lens.optics`, and the given motion of the image.
-    active (lenses, 20): positions of the estimated parameters, the first `active_count` of each row.
+    active (lenses, 20): positions of the estimated parameters in the border, the first `active_count` of each
+        row.
     active_count, active_column (lenses,): number of estimated parameters and the first of their columns
         within the border.
     point_column (points,): first column, within the border, of a point that is not eliminated; -1 for all

@@ -3,7 +3,7 @@
 from photocal.adjustment.kernels.data import Design, Structure, Values, columns, plain
 from photocal.base.arrays import Floats
 from photocal.base.compiled import inlined
-from photocal.geometry.lens import LINE, OTHERS, Ray, Scratch, image_residual
+from photocal.geometry.lens import LINE, OTHERS, Ray, Scratch, image_residual, other_residual
 from photocal.geometry.shutter import rolling_residual
 
 
@@ -18,9 +18,12 @@ def ray_rows(design: Design, values: Values, r: int, i: int, j: int, room: Scrat
     w = rotation[i, 2, 0] * dx + rotation[i, 2, 1] * dy + rotation[i, 2, 2] * dz
     lenses, optics = values.lenses, design.optics
     ray = Ray(k, design.plane[r, 0], design.plane[r, 1], u, v, w)
-    # The commonest camera has the shortest way; every other is one that may move while it reads.
-    if plain(design) or (optics[k, LINE] == 0.0 and optics[k, LINE + 1] == 0.0 and optics[k, 0] < OTHERS):
+    # The commonest camera has the shortest way; the longest is that of one that may move while it reads.
+    still = plain(design) or (optics[k, LINE] == 0.0 and optics[k, LINE + 1] == 0.0)
+    if plain(design) or (still and optics[k, 0] < OTHERS):
         vx, vy = image_residual(lenses, optics, ray, room)
+    elif still:
+        vx, vy = other_residual(lenses, optics, ray, room)
     else:
         vx, vy, u, v, w = rolling_residual(lenses, optics, ray, rotation, i, room)
     by_q, by_image, by_point = room.by_q, room.by_image, room.by_point

@@ -9,8 +9,6 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.covariance import blocks
-from photocal.adjustment.envelope import border_inverse
 from photocal.adjustment.factored import Factored, factored
 from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import (
@@ -83,9 +81,7 @@ def calibration_of(at: Factored) -> Calibration:
     unknown = np.flatnonzero(column >= 0)
     covariance = np.zeros((len(column), len(column)))
     if len(unknown):
-        inverse = border_inverse(at.problem.layout.envelope, at.normal.matrix)
-        square = np.ix_(unknown, unknown)
-        covariance[square] = blocks(column[unknown][None, :], at.problem.layout.envelope, inverse)[0]
+        covariance[np.ix_(unknown, unknown)] = at.joint(column[unknown])
     return Calibration(at.state.cameras, at.state.common[:STRIPS], covariance)
 
 
