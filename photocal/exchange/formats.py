@@ -54,6 +54,10 @@ check points, and so are those that the processing report (PDF, text) lists as s
 - **ODM, OpenSfM**: `reconstruction.json` with tracks and rigs. Names of `gcp_list.txt` that begin with check
   or chk, and points of the role `metrics_only`, are check points. Reports: `stats.json`, `report.pdf`.
 - **COLMAP**: text and binary models, rigs and frames, `gcp_list.txt`. Report: what model_analyzer prints.
+- **BAL**, Bundle Adjustment in the Large (`problem-*.txt`, also as .bz2 or .gz), which `photocal adjust`
+  reads, too. Each image has its own camera of the model `rational`, whose c, K1 and K2 are f, k1 and k2; the
+  datum is free. The format has neither the size of images nor a unit of lengths: images are as large as
+  their observations reach, and lengths are called metres.
 - **MicMac**: `Ori-*`, points and measures; `Check-Pts3D.xml` has check points. Report: what Campari prints.
 
 From a report `adopt` reads the names of check points, sigmas of the camera, and the figures to compare. It is

@@ -44,6 +44,7 @@ from photocal.block.project import read_project
 from photocal.block.results.adjusted_block import adjusted_block
 from photocal.block.results.folder import read_result
 from photocal.commands.cli import app
+from photocal.exchange import bal
 from photocal.exchange.colmap import read_colmap
 from photocal.exchange.formats import FORMATS, read_foreign_block, read_foreign_project
 from photocal.exchange.ground_points import read_gcp_list, read_geo
@@ -56,6 +57,7 @@ from photocal.navigation.engine import read_solution
 from photocal.navigation.events import read_mrk
 from photocal.navigation.precise_results import read_observation_file
 from photocal.report.certificate_metadata import read_particulars
+from tests.benchmarks import make_bal
 from tests.photocal.exchange import test_rigs
 from tests.photocal.exchange.test_hostile import small_archive
 from tests.photocal.run.test_adopt import pix4d
@@ -200,6 +202,9 @@ def _foreign(run: Path, folder: Path) -> Iterator[Reader]:
     pix4d(params, adjusted_block(read_result(run))[0])
     (params / "field 3_camera.cam").write_text(SENSOR_LINE)
     archive = small_archive(folder, {})
+    for name in ("problem.txt", "problem.txt.bz2", "problem.txt.gz"):
+        make_bal.write(make_bal.make(make_bal.Shape(5, 40, 110, "street")), folder / name)
+        yield Reader("tables" if name.endswith("txt") else "archives", folder / name, bal.read)
     test_rigs.test_opensfm(rigs[0])
     test_rigs.test_colmap(rigs[1], "model")
     test_rigs.test_colmap(rigs[2], "config")

@@ -22,6 +22,7 @@ from photocal.base.errors import PhotocalError
 from photocal.block.model import Block
 from photocal.block.results.adjusted_block import adjusted_block
 from photocal.block.results.folder import read_result
+from photocal.exchange import bal
 from photocal.exchange.dbat import read_dbat_cameras
 from photocal.exchange.exporting import Choices
 from photocal.exchange.formats import FORMATS
@@ -100,6 +101,16 @@ CASES = [of_format(form.name) for form in FORMATS if form.reads and form.writes]
             folder / "r.csv", "", [PointEntry("a", "tie", (1.5, 2.5, 3.5), (0.5, 0.5, 0.5))]
         ),
         lambda folder: read_references(folder / "r.csv"),
+    ),
+    Case(
+        "bal",
+        text(
+            "problem-2-2-pre.txt",
+            "2 2 4\n0 0 -3.5 1.5\n0 1 2.5 -4.5\n1 0 -5.5 0.5\n1 1 6.5 7.5\n"
+            + "0.5\n-0.25\n0.125\n1.5\n2.5\n-9.5\n600.5\n-0.5\n0.25\n" * 2
+            + "0.5\n1.5\n2.5\n" * 2,
+        ),
+        lambda folder: bal.read(folder / "problem-2-2-pre.txt"),
     ),
     Case(
         "matrices",
