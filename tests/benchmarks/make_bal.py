@@ -53,6 +53,7 @@ SHAPES = {
     "venice-1778": Shape(1_778, 993_923, 5_001_946, "collection"),
     "final-13682": Shape(13_682, 4_456_117, 28_987_644, "flight"),
     "flight-1000": Shape(1_000, 250_000, 1_625_000, "flight"),
+    "flight-3000": Shape(3_000, 750_000, 4_875_000, "flight"),
     "flight-10000": Shape(10_000, 2_500_000, 16_250_000, "flight"),
 }
 
