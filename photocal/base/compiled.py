@@ -82,6 +82,7 @@ def compile_all() -> None:
         "photocal.adjustment.compile as part; part.compile_unusual()",
         "photocal.adjustment.compile as part; part.compile_shaking()",
         "photocal.adjustment.compile as part; part.compile_usual()",
+        "photocal.measurement.descriptor_kernel as part; part.compile_kernels()",
         "photocal.measurement.patch_kernel as part; part.compile_kernels()",
         "drivers.scan as part; part.compile_search()",
     )
@@ -99,6 +100,7 @@ def compile_most_used(progress: Progress) -> None:
     parts = (
         "photocal.adjustment.compile as part; part.compile_usual()",
         "photocal.adjustment.compile as part; part.compile_ahead()",
+        "photocal.measurement.descriptor_kernel as part; part.compile_kernels()",
         "photocal.measurement.patch_kernel as part; part.compile_kernels()",
     )
     with progress("compiling, once after installation", None):

@@ -22,12 +22,10 @@ from photocal.measurement.image_pairs import footprints, select_pairs
 from photocal.measurement.match_images import (
     MatchingPlan,
     detect_all,
-    match,
     match_all,
-    mutual_matches,
     same_pictures,
-    search_windows,
 )
+from photocal.measurement.pair_matching import match, mutual_matches, search_windows
 from photocal.measurement.tracks import Tracks, join_tracks, spaced, thin
 
 
@@ -100,7 +98,11 @@ def test_few_matches_tell_where_the_others_are_sought() -> None:
     wrong = np.r_[known[:-8], np.roll(known[-8:], 1)]
     windows = search_windows(first, second, first[known], second[wrong])
     assert windows is not None
-    sought = {int(i): columns for rows, columns in windows for i in rows}
+    sought = {
+        int(i): np.concatenate([windows.columns[slice(*span)] for span in spans])
+        for rows, spans in zip(np.split(windows.rows, windows.begins[1:-1]), windows.spans, strict=True)
+        for i in rows
+    }
     assert np.mean([i in sought.get(i, ()) for i in range(len(first))]) > 0.995
     assert sum(len(columns) for columns in sought.values()) < 0.15 * len(first) * len(second)
 
