@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
+from uuid import uuid4
 
 import numpy as np
 
@@ -64,17 +65,17 @@ class Adjusted:
 class _Block:
     """Parts in a folder, and who works on them.
 
-    free: whether the network has no datum but that of its start values.
+    job: tells it from others in the same folder.
     """
 
     folder: str
     dissection: Dissection
     each: Each
-    free: bool
+    job: str
 
     def at(self, state: int, damping: float = 0.0) -> list[At]:
         """All parts at a state."""
-        return [At(self.folder, part, state, damping) for part in range(len(self.dissection.parts))]
+        return [At(self.folder, self.job, part, state, damping) for part in range(len(self.dissection.parts))]
 
     def middle(self, state: int) -> Floats:
         """Middle of the centres of all images."""
@@ -138,7 +139,7 @@ def adjust_parts(
     raises IllPosedError: when the observations do not determine the unknowns.
     raises NotConvergedError: when the iteration does not end.
     """
-    block = _Block(str(folder), dissection, each, free)
+    block = _Block(str(folder), dissection, each, uuid4().hex)
     datum = _datum(block, 0) if free else None
     equations, last, steps = _minimised(block, datum, report, near)
     if datum is not None:
@@ -148,6 +149,7 @@ def adjust_parts(
         equations = _factorised(block, datum, last, 0.0)
     chi_squared = equations.chi_squared if equations.state == last else steps[-1].chi_squared
     sums = list(_finished(block, equations, last, datum))
+    work.forget(block.job)
     first = next(part for part in sums if part.first)
     return Adjusted(
         tuple(steps),

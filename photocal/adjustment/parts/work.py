@@ -54,10 +54,12 @@ _PARTS = OrderedDict[tuple[str, int], _Held]()
 class At:
     """A part, by its folder and number, at one of its states.
 
+    job: tells adjustments apart that use the same folder one after the other.
     damping: with which its equations are factorised.
     """
 
     folder: str
+    job: str
     part: int
     state: int = 0
     damping: float = 0.0
@@ -86,18 +88,18 @@ def read_part(folder: str | Path, part: int) -> Part:
 
 
 def _held(at: At) -> _Held:
-    key = at.folder, at.part
+    key = at.job, at.part
     if key not in _PARTS:
         while len(_PARTS) >= HELD:
             _PARTS.popitem(last=False)
-        _PARTS[key] = _Held(interior(read_part(*key)))
+        _PARTS[key] = _Held(interior(read_part(at.folder, at.part)))
     _PARTS.move_to_end(key)
     return _PARTS[key]
 
 
-def forget(folder: str) -> None:
-    """Give back the memory of all parts of a folder."""
-    for key in [key for key in _PARTS if key[0] == folder]:
+def forget(job: str) -> None:
+    """Give back the memory of a job's parts."""
+    for key in [key for key in _PARTS if key[0] == job]:
         del _PARTS[key]
 
 
