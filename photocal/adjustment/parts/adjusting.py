@@ -6,7 +6,7 @@ Gauss-Newton steps, damped after Levenberg and Marquardt where they would fail, 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 from uuid import uuid4
 
 import numpy as np
@@ -24,16 +24,10 @@ from photocal.adjustment.state import State
 from photocal.base.arrays import Floats, Integers
 from photocal.base.codec import unpacked
 from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.base.homes import Homes, homes
+from photocal.base.workers import Workers
 
 Result = TypeVar("Result")
-
-
-class Each(Protocol):
-    """Does a piece of work for every part, in their order."""
-
-    def __call__(self, function: Callable[[Any], Result], tasks: Iterable[Any], /) -> Iterator[Result]:
-        """Give the results in the order of the tasks."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -70,8 +64,12 @@ class _Block:
 
     folder: str
     dissection: Dissection
-    each: Each
+    homes: Homes
     job: str
+
+    def each(self, function: Callable[[Any], Result], tasks: Iterable[Any]) -> Iterator[Result]:
+        """Do a piece of work for each part, where its last results are."""
+        return self.homes.each(function, tasks, work.part_number)
 
     def at(self, state: int, damping: float = 0.0) -> list[At]:
         """All parts at a state."""
@@ -126,7 +124,7 @@ class _Datum:
 def adjust_parts(
     folder: Path,
     dissection: Dissection,
-    each: Each,
+    workers: Workers = 1,
     report: Callable[[Iteration], None] | None = None,
     *,
     free: bool = False,
@@ -139,7 +137,13 @@ def adjust_parts(
     raises IllPosedError: when the observations do not determine the unknowns.
     raises NotConvergedError: when the iteration does not end.
     """
-    block = _Block(str(folder), dissection, each, uuid4().hex)
+    with homes(workers) as opened:
+        return _adjusted(_Block(str(folder.resolve()), dissection, opened, uuid4().hex), report, free, near)
+
+
+def _adjusted(
+    block: _Block, report: Callable[[Iteration], None] | None, free: bool, near: float
+) -> Adjusted:
     datum = _datum(block, 0) if free else None
     equations, last, steps = _minimised(block, datum, report, near)
     if datum is not None:
@@ -149,7 +153,6 @@ def adjust_parts(
         equations = _factorised(block, datum, last, 0.0)
     chi_squared = equations.chi_squared if equations.state == last else steps[-1].chi_squared
     sums = list(_finished(block, equations, last, datum))
-    work.forget(block.job)
     first = next(part for part in sums if part.first)
     return Adjusted(
         tuple(steps),

@@ -92,14 +92,34 @@ def part_of_points(
     return part
 
 
-def homes(dissection: Dissection, part: Integers, ray_image: Integers, ray_point: Integers) -> Integers:
-    """Part at which what else is observed of each image counts: the first that has it, (images,)."""
+@dataclass(frozen=True)
+class Shares:
+    """Which part has what of a block.
+
+    home (images,): place of the part at which what else is observed of an image counts.
+    first: the part at which what is observed of cameras and mounting counts.
+    """
+
+    dissection: Dissection
+    home: Integers
+    first: int
+
+
+def homes_among(dissection: Dissection, part: Integers, ray_image: Integers, ray_point: Integers) -> Integers:
+    """First part that has each image by some rays, (images,); as many as there are parts where none has it."""
     home = np.full(len(dissection.node), len(dissection.parts))
-    ends = np.isin(dissection.node, dissection.parts)
-    home[ends] = dissection.first_part[dissection.node[ends]]
     np.minimum.at(home, ray_image, part[ray_point])
-    # Images that nobody sees with others are of the part that their separator stands above.
-    return np.where(home < len(dissection.parts), home, dissection.first_part[dissection.node])
+    return home
+
+
+def shares(dissection: Dissection, home: Integers, network: Network) -> Shares:
+    """Share images among parts; `home`: the first part that has each, over all rays."""
+    own = dissection.first_part[dissection.node]
+    # An inner image that no ray shows is of its part all the same.
+    inner = np.isin(dissection.node, dissection.parts)
+    home = np.where(inner | (home == len(dissection.parts)), own, home)
+    mounted = np.concatenate([home[network.positions.image], home[network.attitudes.image]])
+    return Shares(dissection, home, int(mounted[0]) if len(mounted) else 0)
 
 
 def divided(network: Network, dissection: Dissection) -> Iterator[Part]:
@@ -110,38 +130,38 @@ def divided(network: Network, dissection: Dissection) -> Iterator[Part]:
     require_divisible(network)
     rays, centre = network.rays, np.nan_to_num(network.exposures.started[:, 3:])
     part = part_of_points(dissection, centre, rays.image, rays.point, len(network.points.values))
-    home = homes(dissection, part, rays.image, rays.point)
+    shared = shares(dissection, homes_among(dissection, part, rays.image, rays.point), network)
     of_ray = part[rays.point]
-    mounted = np.concatenate([home[network.positions.image], home[network.attitudes.image]])
-    first = int(mounted[0]) if len(mounted) else 0
     for number in range(len(dissection.parts)):
-        yield part_of(
-            network, np.flatnonzero(of_ray == number), np.flatnonzero(part == number), dissection, home, number, first
+        points, of_part = np.flatnonzero(part == number), np.flatnonzero(of_ray == number)
+        place = np.full(len(part), -1)
+        place[points] = np.arange(len(points))
+        chosen = rays.rows(of_part)
+        datum = network.datum_points
+        if datum is not None and len(datum):
+            datum = place[datum]
+            datum = datum[datum >= 0]
+        elif datum is not None:
+            datum = np.arange(len(points))
+        own = replace(
+            network,
+            points=network.points.rows(points),
+            rays=replace(chosen, point=place[chosen.point]),
+            point_names=tuple(network.point_names[j] for j in points),
+            datum_points=datum,
         )
+        yield part_of(own, points, of_part, shared, number)
 
 
-def part_of(
-    network: Network,
-    rays: Integers,
-    points: Integers,
-    dissection: Dissection,
-    home: Integers,
-    number: int,
-    first: int,
-) -> Part:
-    """Take the part with some rays and points out of a network that has them."""
-    at_home = home == number
+def part_of(network: Network, points: Integers, rays: Integers, shared: Shares, number: int) -> Part:
+    """Make a part of a network that has all images, but only its points and rays.
+
+    points, rays: which ones of the whole these are.
+    """
+    at_home = shared.home == number
     here = at_home.copy()
-    here[network.rays.image[rays]] = True
-    images = np.flatnonzero(here)
-    place, point_place = np.cumsum(here) - 1, np.full(len(network.points.values), -1)
-    point_place[points] = np.arange(len(points))
-    of_rays = network.rays.rows(rays)
-    datum = network.datum_points
-    if datum is not None:
-        datum = np.arange(len(point_place)) if not len(datum) else datum
-        datum = point_place[datum]
-        datum = datum[datum >= 0]
+    here[network.rays.image] = True
+    images, place = np.flatnonzero(here), np.cumsum(here) - 1
     observed = {}
     for name in ("positions", "attitudes"):
         given = getattr(network, name)
@@ -150,14 +170,11 @@ def part_of(
     smaller = replace(
         network,
         exposures=network.exposures.rows(images),
-        points=network.points.rows(points),
-        rays=replace(of_rays, image=place[of_rays.image], point=point_place[of_rays.point]),
+        rays=replace(network.rays, image=place[network.rays.image]),
         image_names=tuple(network.image_names[i] for i in images),
-        point_names=tuple(network.point_names[j] for j in points),
-        datum_points=datum,
         **observed,
     )
-    inside = dissection.node[images] == dissection.parts[number]
+    inside = shared.dissection.node[images] == shared.dissection.parts[number]
     return Part(
-        smaller, images, points, rays, inside, at_home[images], number == first, len(network.image_names)
+        smaller, images, points, rays, inside, at_home[images], number == shared.first, len(network.image_names)
     )

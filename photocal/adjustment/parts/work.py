@@ -8,6 +8,7 @@ the part's file and its last state.
 from collections import OrderedDict
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,9 +34,11 @@ from photocal.adjustment.state import State, start_state
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.codec import packed, unpacked
 from photocal.base.files import output_file
+from photocal.base.operating_system import available_memory
 
-# Parts that a process holds with their factors: of more, the one that was used first falls out.
-HELD = 64
+# Free memory that is left alone. Where there is less, the part that was used last falls out: each is used in
+# turn, and of those that stay something is found.
+SPARE = 1 << 30
 
 
 @dataclass
@@ -65,6 +68,13 @@ class At:
     damping: float = 0.0
 
 
+def part_number(task: Any) -> int:
+    """Part that any task is about: processes that know it are preferred."""
+    while not isinstance(task, At):
+        task = task.moved if isinstance(task, Spread) else task.at
+    return task.part
+
+
 def part_file(folder: str | Path, part: int) -> Path:
     """Where a part stands."""
     return Path(folder) / f"part-{part:05}.npz"
@@ -90,17 +100,14 @@ def read_part(folder: str | Path, part: int) -> Part:
 def _held(at: At) -> _Held:
     key = at.job, at.part
     if key not in _PARTS:
-        while len(_PARTS) >= HELD:
-            _PARTS.popitem(last=False)
+        for other in [other for other in _PARTS if other[0] != at.job]:
+            del _PARTS[other]
+        free = available_memory()
+        if _PARTS and free is not None and free < SPARE:
+            _PARTS.popitem()
         _PARTS[key] = _Held(interior(read_part(at.folder, at.part)))
     _PARTS.move_to_end(key)
     return _PARTS[key]
-
-
-def forget(job: str) -> None:
-    """Give back the memory of a job's parts."""
-    for key in [key for key in _PARTS if key[0] == job]:
-        del _PARTS[key]
 
 
 def _state_file(at: At, number: int) -> Path:
@@ -324,8 +331,7 @@ def finish(task: Finish) -> Sums:
         solution_file(task.at.folder, task.at.part),
         Found(whole, part.images, part.points, part.rays, part.home),
     )
-    # Its factor has done its work.
-    held.condensed = None
+    del _PARTS[task.at.job, task.at.part]
     return Sums(
         whole.groups,
         count,

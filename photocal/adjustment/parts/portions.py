@@ -1,0 +1,136 @@
+"""A block that no process holds: divided portion by portion, each with some points and all their rays."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from photocal.adjustment.network import Network, Points, Rays
+from photocal.adjustment.parts.dissection import Dissection, dissect
+from photocal.adjustment.parts.part import (
+    Shares,
+    divided,
+    homes_among,
+    images_together,
+    part_of,
+    part_of_points,
+    require_divisible,
+    shares,
+)
+from photocal.adjustment.parts.work import part_file, write
+from photocal.base.arrays import Integers
+from photocal.base.codec import unpacked
+
+
+@dataclass(frozen=True)
+class Portion:
+    """Some points of a block, with all their rays, which are sorted by point.
+
+    numbers, rays_from (points,), int: number in the whole of each point, and of the first ray.
+    datum (points,): whether a free network is least moved over each.
+    """
+
+    points: Points
+    rays: Rays
+    names: tuple[str, ...]
+    numbers: Integers
+    ray_numbers: Integers
+
+
+def write_parts(network: Network, most: int, folder: Path) -> Dissection:
+    """Divide a network into parts with at most so many inner images, and write them.
+
+    raises ConfigurationError: for what cannot be divided.
+    """
+    rays = network.rays
+    together = images_together(rays.image, rays.point, len(network.image_names))
+    dissection = dissect(together, network.exposures.started[:, 3:], most)
+    for number, part in enumerate(divided(network, dissection)):
+        write(part_file(folder, number), part)
+    return dissection
+
+
+def write_portions(
+    frame: Network, portions: Callable[[], Iterable[Portion]], most: int, folder: Path
+) -> Dissection:
+    """Divide a block into parts with at most so many inner images, and write them: never all rays at a time.
+
+    frame: cameras, images and what else is observed of them, without points; with `datum_points` where it is
+        free: inner constraints are over all points.
+    portions: gives the portions, each time it is called.
+    raises ConfigurationError: for what cannot be divided.
+    """
+    require_divisible(frame)
+    count, centre = len(frame.image_names), np.nan_to_num(frame.exposures.started[:, 3:])
+    together = csr_array((count, count), dtype=np.int64)
+    for portion in portions():
+        together = together + images_together(portion.rays.image, portion.rays.point, count)
+    dissection = dissect(together, centre, most)
+    home = np.full(count, len(dissection.parts))
+    pieces = np.zeros(len(dissection.parts), dtype=np.int64)
+    for portion in portions():
+        rays = portion.rays
+        part = part_of_points(dissection, centre, rays.image, rays.point, len(portion.numbers))
+        home = np.minimum(home, homes_among(dissection, part, rays.image, rays.point))
+        for number in np.unique(part):
+            write(_piece(folder, int(number), int(pieces[number])), _of_part(portion, part == number))
+            pieces[number] += 1
+    shared = shares(dissection, home, frame)
+    for number, of_part in enumerate(pieces):
+        paths = [_piece(folder, number, piece) for piece in range(of_part)]
+        write(part_file(folder, number), _whole(frame, paths, shared, number))
+        for path in paths:
+            path.unlink()
+    return dissection
+
+
+def _piece(folder: Path, part: int, number: int) -> Path:
+    return folder / f"piece-{part:05}-{number:05}.npz"
+
+
+def _of_part(portion: Portion, chosen: object) -> Portion:
+    """Keep some points of a portion."""
+    mask = np.asarray(chosen, dtype=np.bool_)
+    place, kept = np.cumsum(mask) - 1, mask[portion.rays.point]
+    rays = portion.rays.rows(kept)
+    return Portion(
+        portion.points.rows(mask),
+        replace(rays, point=place[rays.point]),
+        tuple(portion.names[j] for j in np.flatnonzero(mask)),
+        portion.numbers[mask],
+        portion.ray_numbers[kept],
+    )
+
+
+def _whole(frame: Network, paths: list[Path], shared: Shares, number: int) -> object:
+    """Put the pieces of a part together."""
+    pieces = list(_read(paths))
+    firsts = np.cumsum([0, *(len(piece.numbers) for piece in pieces)])
+    points = Points(*(_joined([getattr(p.points, n) for p in pieces]) for n in ("values", "held", "weight")))
+    rays = Rays(
+        _joined([piece.rays.image for piece in pieces]),
+        _joined([piece.rays.point + first for piece, first in zip(pieces, firsts[:-1], strict=True)]),
+        _joined([piece.rays.plane for piece in pieces]),
+        _joined([piece.rays.sigma for piece in pieces]),
+    )
+    own = replace(
+        frame,
+        points=points,
+        rays=rays,
+        point_names=tuple(name for piece in pieces for name in piece.names),
+        datum_points=None if frame.datum_points is None else np.arange(firsts[-1]),
+    )
+    numbers = _joined([piece.numbers for piece in pieces])
+    return part_of(own, numbers, _joined([piece.ray_numbers for piece in pieces]), shared, number)
+
+
+def _read(paths: list[Path]) -> Iterator[Portion]:
+    for path in paths:
+        with np.load(path) as arrays:
+            yield unpacked(Portion, arrays)
+
+
+def _joined(arrays: list[object]) -> np.ndarray:  # type: ignore[type-arg]
+    return np.concatenate(arrays)  # type: ignore[arg-type,call-overload,no-any-return]
