@@ -9,7 +9,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from typing import Any, Protocol, TypeVar
@@ -172,7 +172,12 @@ class _OnCluster:
             return self.client.submit(function, task, pure=False, workers=[place])
 
     def _ended(
-        self, function: Callable[[Task], Result], home: Callable[[Task], int], task: Task, place: str, future: Any
+        self,
+        function: Callable[[Task], Result],
+        home: Callable[[Task], int],
+        task: Task,
+        place: str,
+        future: Any,
     ) -> Any:
         for _ in range(_TRIES):
             while True:

@@ -82,7 +82,9 @@ class Strips:
         xyz = np.column_stack([ground, rng.normal(0.0, 5.0, count)])
         near = np.rint(ground / self.steps).astype(np.int64)
         reach = np.ceil([1 / (1 - self.side) / 2 + 0.6, 1 / (1 - self.forward) / 2 + 0.6]).astype(np.int64)
-        offsets = np.stack(np.meshgrid(*(np.arange(-r, r + 1) for r in reach), indexing="ij"), -1).reshape(-1, 2)
+        offsets = np.stack(np.meshgrid(*(np.arange(-r, r + 1) for r in reach), indexing="ij"), -1).reshape(
+            -1, 2
+        )
         at = near[:, None] + offsets
         inside = ((at >= 0) & (at < [self.strips, self.each])).all(axis=2)
         point, which = np.nonzero(inside)
@@ -107,7 +109,8 @@ class Strips:
         poses, count = self.poses(), self.count
         cameras = tuple(replace(one, values=np.where(one.estimated, 0.0, one.values)) for one in self.lenses)
         cameras = tuple(
-            replace(one, values=np.where(np.arange(len(one.values)) == 0, 20.05, one.values)) for one in cameras
+            replace(one, values=np.where(np.arange(len(one.values)) == 0, 20.05, one.values))
+            for one in cameras
         )
         start = poses + rng.normal(0.0, 1.0, poses.shape) * [0.002, 0.002, 0.002, 0.2, 0.2, 0.2]
         sigma = np.full((count, 6), np.inf)
@@ -133,7 +136,13 @@ class Strips:
         free[:3] = 0.5
         nothing = np.zeros(count)
         positions = Positions(
-            np.arange(count), place, covariance, np.zeros((count, 3)), nothing.astype(np.int64), nothing, nothing
+            np.arange(count),
+            place,
+            covariance,
+            np.zeros((count, 3)),
+            nothing.astype(np.int64),
+            nothing,
+            nothing,
         )
         values = np.zeros(STRIPS + 6)
         return replace(network, positions=positions, mounting=Mounting(NO_MOUNTING.rotation, values, free))
@@ -159,7 +168,9 @@ class Strips:
             first += len(of_strip.values)
         return replace(
             self.frame(),
-            points=Points(*(np.concatenate([getattr(p, n) for p in points]) for n in ("values", "held", "weight"))),
+            points=Points(
+                *(np.concatenate([getattr(p, n) for p in points]) for n in ("values", "held", "weight"))
+            ),
             rays=Rays(
                 *(np.concatenate([getattr(r, n) for r in rays]) for n in ("image", "point", "plane", "sigma"))
             ),

@@ -1,1 +1,1 @@
-"""Blocks that are adjusted in parts: exact elimination of each part, joined along separators (Helmert 1880)."""
+"""Blocks adjusted in parts: each eliminated exactly, then joined along separators (Helmert 1880)."""

@@ -16,7 +16,7 @@ from photocal.adjustment.parts import work
 from photocal.adjustment.parts.dissection import Dissection
 from photocal.adjustment.parts.fronts import Front
 from photocal.adjustment.parts.part import OF_IMAGE
-from photocal.adjustment.parts.upper import Undetermined, Upper, upper
+from photocal.adjustment.parts.upper import UndeterminedError, Upper, upper
 from photocal.adjustment.parts.work import At, Finish, Found, Moved, Spread, Step, Sums, Transform
 from photocal.adjustment.solution import Group, PhotoVariant, Solution
 from photocal.adjustment.solver import CONVERGED, FIRST_DAMPING, ITERATIONS, NEARLY, ROUNDING, Iteration
@@ -114,7 +114,9 @@ class _Datum:
         at = np.minimum(at, len(self.unknown) - 1)
         null = np.where((self.unknown[at] == front.unknown)[:, None], self.moves[at], 0.0)
         if np.linalg.matrix_rank(null * np.sqrt(front.diagonal)[:, None]) < null.shape[1]:
-            raise IllPosedError("the parts have too little in common to carry a free datum", "use fewer parts")
+            raise IllPosedError(
+                "the parts have too little in common to carry a free datum", "use fewer parts"
+            )
         columns = datum_columns(null, front.diagonal)
         matrix = front.matrix.copy()
         matrix[columns, columns] += front.diagonal[columns]
@@ -141,9 +143,7 @@ def adjust_parts(
         return _adjusted(_Block(str(folder.resolve()), dissection, opened, uuid4().hex), report, free, near)
 
 
-def _adjusted(
-    block: _Block, report: Callable[[Iteration], None] | None, free: bool, near: float
-) -> Adjusted:
+def _adjusted(block: _Block, report: Callable[[Iteration], None] | None, free: bool, near: float) -> Adjusted:
     datum = _datum(block, 0) if free else None
     equations, last, steps = _minimised(block, datum, report, near)
     if datum is not None:
@@ -193,11 +193,11 @@ def _factorised(block: _Block, datum: _Datum | None, state: int, damping: float)
 
     try:
         joined = upper(block.dissection, fronts(), datum.held if datum is not None else lambda front: front)
-    except Undetermined as reason:
+    except UndeterminedError as reason:
         image = int(reason.args[0]) // OF_IMAGE
-        of = f"image {image + 1} of the block" if image < len(block.dissection.node) else "what images share"
+        at = f" (image {image + 1})" if image < len(block.dissection.node) else ""
         raise IllPosedError(
-            f"the network is singular at {of}",
+            f"the images between the parts, or what all share, are not determined{at}",
             "add control points, weighted positions or prior sigmas, or hold what cannot be determined",
         ) from None
     return _Equations(state, damping, joined, rights, sum(totals))
@@ -287,20 +287,17 @@ def _released(block: _Block, state: int) -> int:
 def _finished(block: _Block, equations: _Equations, last: int, datum: _Datum | None) -> Iterator[Sums]:
     """Give all parts their statistics."""
     at = block.at(equations.state, equations.damping)
-    of_part: Callable[[int], Any] = lambda _: None
+    of_datum = list[tuple[Spread, Floats, Floats] | None]([None] * len(at))
     if datum is not None:
         asked = [Moved(one, datum.about, datum.combined) for one in at]
         common = equations.upper.solve(list(block.each(work.datum_right, asked)))
         spreads = [Spread(one, part) for one, part in zip(asked, common, strict=True)]
         constraint, cofactor = (sum(each) for each in zip(*block.each(work.spread, spreads), strict=True))
         inverse = np.linalg.inv(constraint)
-
-        def of_part(part: int) -> Any:
-            """What a part needs of the datum."""
-            return spreads[part], inverse, cofactor
+        of_datum = [(spread, inverse, cofactor) for spread in spreads]
 
     tasks = (
-        Finish(at[part], last, covariance, of_part(part))
+        Finish(at[part], last, covariance, of_datum[part])
         for part, covariance in equations.upper.covariances()
     )
     return block.each(work.finish, tasks)
@@ -313,7 +310,9 @@ def solution_of_parts(folder: Path, adjusted: Adjusted, parts: int) -> Solution:
         with np.load(work.solution_file(folder, part)) as arrays:
             found.append(unpacked(Found, arrays))
     images = 1 + max(int(one.images.max()) for one in found)
-    points, rays = (1 + max(int(getattr(one, name).max(initial=-1)) for one in found) for name in ("points", "rays"))
+    points, rays = (
+        1 + max(int(getattr(one, name).max(initial=-1)) for one in found) for name in ("points", "rays")
+    )
     deviations = max(one.solution.state.deviations.shape[1] for one in found)
     exposures, covariance = np.zeros((images, 6)), np.zeros((images, 6, 6))
     places, place_covariance = np.zeros((points, 3)), np.zeros((points, 3, 3))

@@ -89,7 +89,7 @@ def _separated(
 ) -> tuple[Integers, Integers, Integers] | None:
     """Separator of some images and the two halves; None where nothing is left of a half."""
     among = together[images][:, images].tocoo()
-    row, column = among.coords
+    row, column = (np.asarray(ends, dtype=np.int64) for ends in among.coords)
     middle = places[images] - places[images].mean(axis=0)
     plane = middle @ np.linalg.svd(middle.T @ middle)[0][:, :2]
     best: tuple[float, Flags] | None = None

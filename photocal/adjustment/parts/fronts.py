@@ -105,7 +105,9 @@ def eliminated(front: Front, own: Integers) -> tuple[Level, Front]:
         weakest = float(share[worst]) if info == 0 else -1.0
         worst = int(front.unknown[here[worst]])
         if info == 0 and len(above):
-            below = blas.dtrsm(1.0, root, np.asfortranarray(across), side=1, lower=1, trans_a=1, overwrite_b=1)
+            below = blas.dtrsm(
+                1.0, root, np.asfortranarray(across), side=1, lower=1, trans_a=1, overwrite_b=1
+            )
             left = blas.dsyrk(-1.0, below, beta=1.0, c=left, lower=1, overwrite_c=1)
     level = Level(front.unknown[here], front.unknown[above], root, below, weakest, worst)
     return level, Front(front.unknown[above], left, front.diagonal[above])

@@ -1,7 +1,7 @@
 """A part of a block: its points and inner images eliminated, and what is found of them afterwards.
 
-The normal equations of a part are those of a network. Its inner images form a band; what it has in common with
-other parts, images at its edges and the parameters of cameras and mounting, forms the border.
+The normal equations of a part are those of a network. Its inner images form a band; what it has in common
+with other parts, images at its edges and the parameters of cameras and mounting, forms the border.
 """
 
 from dataclasses import dataclass, replace
@@ -234,10 +234,11 @@ def _eliminated(at: Interior, values: Floats) -> Floats:
     if failed < 0 and structure.band and weakest_pivot(values[diagonal], before) < SINGULAR_PIVOT:
         failed = int(np.argmin(values[diagonal] ** 2 / before))
     if failed >= 0:
-        name = unknowns(at.problem)[int(np.flatnonzero(at.column == failed)[0])]
+        unknown = unknowns(at.problem)[int(np.flatnonzero(at.column == failed)[0])]
+        name = "" if unknown is None else unknown.name
         raise IllPosedError(
-            f"{name.name if name is not None else 'an image'} is not determined within its part",
-            "adjust the block whole: then what is not determined is named",
+            f"{name} is not determined within its part",
+            "give its image more points, or adjust the block whole: then all that is not determined is named",
         )
     panels = structure.panels(values)
     corner = np.array(panels[-1].T, order="F")
@@ -249,7 +250,7 @@ def _eliminated(at: Interior, values: Floats) -> Floats:
 
 
 def found(at: Interior, condensed: Condensed, right: Floats, common: Floats) -> Floats:
-    """Columns of the problem, (layout.size, t), from right-hand sides of it and the unknowns of the border."""
+    """Columns of the problem, (layout.size, t), from its right-hand sides and the unknowns of the border."""
     free = at.column >= 0
     inner = np.zeros((at.structure.size, right.shape[1]))
     inner[at.column[free]] = right[free]
@@ -263,7 +264,7 @@ def found(at: Interior, condensed: Condensed, right: Floats, common: Floats) -> 
 
 
 def handed_on(at: Interior, factor: Floats, right: Floats) -> Floats:
-    """What of right-hand sides (layout.size, t) is left for the border when all else is eliminated, (m, t)."""
+    """What of right-hand sides (layout.size, t) is left for the border, (m, t), without all else."""
     free = (at.column >= 0) & ~at.problem.held
     inner = np.zeros((at.structure.size, right.shape[1]))
     inner[at.column[free]] = right[free]
@@ -318,10 +319,10 @@ def stepped(at: Interior, condensed: Condensed, state: State, common: Floats) ->
 
 def reduced_right(at: Interior, condensed: Condensed, points: Floats) -> Floats:
     """Right-hand sides of the problem, (layout.size, t), that those of points (t, points, 3) become."""
-    design, envelope_ = at.problem.design, at.problem.layout.envelope
+    design, structure = at.problem.design, at.problem.layout.envelope
     taken = np.zeros((len(design.pieces) - 1, len(points), at.problem.layout.size))
-    reduce_right(design, envelope_, np.ascontiguousarray(points), condensed.normal.kept, taken)
-    right = taken.sum(axis=0).T
+    reduce_right(design, structure, np.ascontiguousarray(points), condensed.normal.kept, taken)
+    right = np.asarray(taken.sum(axis=0).T)
     right[at.problem.held] = 0.0
     return right
 
@@ -357,12 +358,12 @@ class FactoredPart(Factored):
     rows: dict[str, Equations]
 
     @property
-    def inverse(self) -> Floats:  # type: ignore[override]
+    def inverse(self) -> Floats:
         """Its part of the inverse of the whole."""
         return self.values
 
     @property
-    def others(self) -> dict[str, Equations]:  # type: ignore[override]
+    def others(self) -> dict[str, Equations]:
         """Observations beside the rays, by group."""
         return self.rows
 
@@ -370,7 +371,7 @@ class FactoredPart(Factored):
 def factored_part(
     at: Interior, condensed: Condensed, state: State, common: Floats, datum: Correction | None
 ) -> FactoredPart:
-    """Give a part the covariance among its unknowns, from that (m, m) of what it has in common with others."""
+    """Give a part the covariance among its unknowns, from that (m, m) of its border."""
     structure = at.structure
     factor = condensed.factor
     if structure.border:

@@ -44,23 +44,19 @@ def require_divisible(network: Network) -> None:
 
     raises ConfigurationError: for observations between points, laser distances and rigs.
     """
-    between = {
-        "observations between points": len(network.relations.kind),
-        "laser distances": len(network.lasers.image),
-        "rigs": len(network.rig.first),
-    }
-    named = [name for name, count in between.items() if count]
-    if named:
+    if len(network.relations.kind) or len(network.lasers.image) or len(network.rig.first):
         raise ConfigurationError(
-            f"a block with {' and '.join(named)} cannot be adjusted in parts",
-            "adjust it whole, or leave them out",
+            "observations between points, laser distances and rigs cannot be adjusted in parts",
+            "adjust the block whole, or leave them out",
         )
 
 
 def images_together(image: Integers, point: Integers, count: int) -> csr_array:
     """Pairs of images that share a point, (images, images), from rays that are sorted by point."""
     _, point = np.unique(point, return_inverse=True)
-    seen = csr_array((np.ones(len(image), dtype=np.int32), (point, image)), shape=(point.max(initial=-1) + 1, count))
+    seen = csr_array(
+        (np.ones(len(image), dtype=np.int32), (point, image)), shape=(point.max(initial=-1) + 1, count)
+    )
     return csr_array(seen.T @ seen)
 
 
@@ -78,7 +74,7 @@ def part_of_points(
     part, last = dissection.first_part[lowest], dissection.last_part[lowest]
     among = np.flatnonzero(last > part + 1)
     if not len(among):
-        return part
+        return np.asarray(part)
     seen = np.maximum(np.bincount(ray_point, minlength=count), 1)
     place = np.column_stack([np.bincount(ray_point, centre[ray_image, a], count) / seen for a in range(3)])
     inside = np.isin(dissection.node, dissection.parts)
@@ -89,7 +85,7 @@ def part_of_points(
             inside & (own >= dissection.first_part[node]) & (own < dissection.last_part[node])
         )
         part[points] = own[images[cKDTree(centre[images]).query(place[points])[1]]]
-    return part
+    return np.asarray(part)
 
 
 @dataclass(frozen=True)
@@ -106,7 +102,7 @@ class Shares:
 
 
 def homes_among(dissection: Dissection, part: Integers, ray_image: Integers, ray_point: Integers) -> Integers:
-    """First part that has each image by some rays, (images,); as many as there are parts where none has it."""
+    """First part that has each image by some rays, (images,); the number of parts where none has it."""
     home = np.full(len(dissection.node), len(dissection.parts))
     np.minimum.at(home, ray_image, part[ray_point])
     return home
@@ -176,5 +172,12 @@ def part_of(network: Network, points: Integers, rays: Integers, shared: Shares, 
     )
     inside = shared.dissection.node[images] == shared.dissection.parts[number]
     return Part(
-        smaller, images, points, rays, inside, at_home[images], number == shared.first, len(network.image_names)
+        smaller,
+        images,
+        points,
+        rays,
+        inside,
+        at_home[images],
+        number == shared.first,
+        len(network.image_names),
     )

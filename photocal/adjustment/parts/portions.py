@@ -3,13 +3,16 @@
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from photocal.adjustment.network import Network, Points, Rays
 from photocal.adjustment.parts.dissection import Dissection, dissect
 from photocal.adjustment.parts.part import (
+    Part,
     Shares,
     divided,
     homes_among,
@@ -20,7 +23,7 @@ from photocal.adjustment.parts.part import (
     shares,
 )
 from photocal.adjustment.parts.work import part_file, write
-from photocal.base.arrays import Integers
+from photocal.base.arrays import Flags, Integers
 from photocal.base.codec import unpacked
 
 
@@ -28,8 +31,8 @@ from photocal.base.codec import unpacked
 class Portion:
     """Some points of a block, with all their rays, which are sorted by point.
 
-    numbers, rays_from (points,), int: number in the whole of each point, and of the first ray.
-    datum (points,): whether a free network is least moved over each.
+    names, numbers (points,): their names, and their numbers in the whole.
+    ray_numbers (rays,): numbers in the whole of the rays.
     """
 
     points: Points
@@ -47,9 +50,17 @@ def write_parts(network: Network, most: int, folder: Path) -> Dissection:
     rays = network.rays
     together = images_together(rays.image, rays.point, len(network.image_names))
     dissection = dissect(together, network.exposures.started[:, 3:], most)
+    write_divided(network, dissection, folder)
+    return dissection
+
+
+def write_divided(network: Network, dissection: Dissection, folder: Path) -> None:
+    """Write the parts of a dissected network.
+
+    raises ConfigurationError: for what cannot be divided.
+    """
     for number, part in enumerate(divided(network, dissection)):
         write(part_file(folder, number), part)
-    return dissection
 
 
 def write_portions(
@@ -90,9 +101,8 @@ def _piece(folder: Path, part: int, number: int) -> Path:
     return folder / f"piece-{part:05}-{number:05}.npz"
 
 
-def _of_part(portion: Portion, chosen: object) -> Portion:
+def _of_part(portion: Portion, mask: Flags) -> Portion:
     """Keep some points of a portion."""
-    mask = np.asarray(chosen, dtype=np.bool_)
     place, kept = np.cumsum(mask) - 1, mask[portion.rays.point]
     rays = portion.rays.rows(kept)
     return Portion(
@@ -104,7 +114,7 @@ def _of_part(portion: Portion, chosen: object) -> Portion:
     )
 
 
-def _whole(frame: Network, paths: list[Path], shared: Shares, number: int) -> object:
+def _whole(frame: Network, paths: list[Path], shared: Shares, number: int) -> Part:
     """Put the pieces of a part together."""
     pieces = list(_read(paths))
     firsts = np.cumsum([0, *(len(piece.numbers) for piece in pieces)])
@@ -132,5 +142,5 @@ def _read(paths: list[Path]) -> Iterator[Portion]:
             yield unpacked(Portion, arrays)
 
 
-def _joined(arrays: list[object]) -> np.ndarray:  # type: ignore[type-arg]
-    return np.concatenate(arrays)  # type: ignore[arg-type,call-overload,no-any-return]
+def _joined(arrays: list[NDArray[Any]]) -> NDArray[Any]:
+    return np.concatenate(arrays)

@@ -15,7 +15,7 @@ from photocal.base.arrays import Floats, Integers
 Held = Callable[[Front], Front]
 
 
-class Undetermined(Exception):
+class UndeterminedError(Exception):
     """The equations of all separators are singular at an unknown, by its number."""
 
 
@@ -93,7 +93,7 @@ def upper(dissection: Dissection, fronts: Iterable[Front], held: Held = lambda f
     """Join the fronts of all parts, in their order, and eliminate all separators.
 
     held: changes the last front before it is eliminated.
-    raises Undetermined: with the number of an unknown that is not determined.
+    raises UndeterminedError: with the number of an unknown that is not determined.
     """
     parent, last = dissection.parent, len(dissection.parent) - 1
     missing = np.bincount(parent[parent >= 0], minlength=last + 1)
@@ -114,7 +114,7 @@ def upper(dissection: Dissection, fronts: Iterable[Front], held: Held = lambda f
                 whole, here = held(whole), np.ones(len(image), dtype=np.bool_)
             levels[at], front = eliminated(whole, whole.unknown[here])
             if levels[at].weakest < SINGULAR_PIVOT:
-                raise Undetermined(levels[at].worst)
+                raise UndeterminedError(levels[at].worst)
             if at == last:
                 break
             at = int(parent[at])

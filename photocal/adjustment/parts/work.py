@@ -230,7 +230,7 @@ def transform(task: Transform) -> None:
 
 
 def _datum_right(task: Moved) -> tuple[Interior, Condensed, Floats, Floats, Floats, Floats]:
-    """Transformations of a part, (size, d) and (points, 3, d), and the right-hand sides of its datum points."""
+    """Transformations of a part, (size, d), (points, 3, d), and right-hand sides of its datum points."""
     held, state = _held(task.at), _state(task.at)
     at, made = held.interior, _condensed(task.at)
     reduced, points = similarity_moves(at.problem, state, task.about)
