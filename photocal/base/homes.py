@@ -20,7 +20,7 @@ from photocal.base.workers import Cluster, Workers, one_thread_each
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 # A piece of work is begun so often, when processes die; so many wait for each process.
-_TRIES, _AHEAD = 3, 2
+_TRIES, _AHEAD = 3, 6
 # After so long without a result it is asked whether the worker still lives, s.
 _PATIENCE_S = 2.0
 

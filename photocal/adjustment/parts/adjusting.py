@@ -4,7 +4,7 @@ Gauss-Newton steps, damped after Levenberg and Marquardt where they would fail, 
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 from uuid import uuid4
@@ -105,22 +105,21 @@ class _Datum:
     unknown: Integers
     moves: Floats
 
-    def held(self, front: Front) -> Front:
+    def held(self, unknown: Integers, diagonal: Floats) -> Floats:
         """Hold as many unknowns of the last separator lightly as there are combinations.
 
         raises IllPosedError: where it has too few.
         """
-        at = np.searchsorted(self.unknown, front.unknown)
-        at = np.minimum(at, len(self.unknown) - 1)
-        null = np.where((self.unknown[at] == front.unknown)[:, None], self.moves[at], 0.0)
-        if np.linalg.matrix_rank(null * np.sqrt(front.diagonal)[:, None]) < null.shape[1]:
+        at = np.minimum(np.searchsorted(self.unknown, unknown), len(self.unknown) - 1)
+        null = np.where((self.unknown[at] == unknown)[:, None], self.moves[at], 0.0)
+        if np.linalg.matrix_rank(null * np.sqrt(diagonal)[:, None]) < null.shape[1]:
             raise IllPosedError(
                 "the parts have too little in common to carry a free datum", "use fewer parts"
             )
-        columns = datum_columns(null, front.diagonal)
-        matrix = front.matrix.copy()
-        matrix[columns, columns] += front.diagonal[columns]
-        return replace(front, matrix=matrix)
+        added = np.zeros(len(unknown))
+        columns = datum_columns(null, diagonal)
+        added[columns] = diagonal[columns]
+        return added
 
 
 def adjust_parts(
@@ -192,7 +191,7 @@ def _factorised(block: _Block, datum: _Datum | None, state: int, damping: float)
             yield handed.front
 
     try:
-        joined = upper(block.dissection, fronts(), datum.held if datum is not None else lambda front: front)
+        joined = upper(block.dissection, fronts(), None if datum is None else datum.held)
     except UndeterminedError as reason:
         image = int(reason.args[0]) // OF_IMAGE
         at = f" (image {image + 1})" if image < len(block.dissection.node) else ""

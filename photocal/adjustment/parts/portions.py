@@ -1,6 +1,6 @@
 """A block that no process holds: divided portion by portion, each with some points and all their rays."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from photocal.adjustment.parts.part import (
     require_divisible,
     shares,
 )
-from photocal.adjustment.parts.work import part_file, write
+from photocal.adjustment.parts.work import write, write_part
 from photocal.base.arrays import Flags, Integers
 from photocal.base.codec import unpacked
 
@@ -60,28 +60,30 @@ def write_divided(network: Network, dissection: Dissection, folder: Path) -> Non
     raises ConfigurationError: for what cannot be divided.
     """
     for number, part in enumerate(divided(network, dissection)):
-        write(part_file(folder, number), part)
+        write_part(folder, number, part)
 
 
-def write_portions(
-    frame: Network, portions: Callable[[], Iterable[Portion]], most: int, folder: Path
-) -> Dissection:
-    """Divide a block into parts with at most so many inner images, and write them: never all rays at a time.
+def together_in(portions: Iterable[Portion], count: int) -> csr_array:
+    """Pairs of images that share a point, (count, count), from all portions."""
+    together = csr_array((count, count), dtype=np.int64)
+    for portion in portions:
+        together = together + images_together(portion.rays.image, portion.rays.point, count)
+    return together
+
+
+def write_portions(frame: Network, portions: Iterable[Portion], dissection: Dissection, folder: Path) -> None:
+    """Write the parts of a block that comes in portions: never all rays at a time.
 
     frame: cameras, images and what else is observed of them, without points; with `datum_points` where it is
         free: inner constraints are over all points.
-    portions: gives the portions, each time it is called.
+    dissection: of its images, by those that are `together_in` the same portions.
     raises ConfigurationError: for what cannot be divided.
     """
     require_divisible(frame)
     count, centre = len(frame.image_names), np.nan_to_num(frame.exposures.started[:, 3:])
-    together = csr_array((count, count), dtype=np.int64)
-    for portion in portions():
-        together = together + images_together(portion.rays.image, portion.rays.point, count)
-    dissection = dissect(together, centre, most)
     home = np.full(count, len(dissection.parts))
     pieces = np.zeros(len(dissection.parts), dtype=np.int64)
-    for portion in portions():
+    for portion in portions:
         rays = portion.rays
         part = part_of_points(dissection, centre, rays.image, rays.point, len(portion.numbers))
         home = np.minimum(home, homes_among(dissection, part, rays.image, rays.point))
@@ -91,10 +93,9 @@ def write_portions(
     shared = shares(dissection, home, frame)
     for number, of_part in enumerate(pieces):
         paths = [_piece(folder, number, piece) for piece in range(of_part)]
-        write(part_file(folder, number), _whole(frame, paths, shared, number))
+        write_part(folder, number, _whole(frame, paths, shared, number))
         for path in paths:
             path.unlink()
-    return dissection
 
 
 def _piece(folder: Path, part: int, number: int) -> Path:

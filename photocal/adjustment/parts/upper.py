@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -9,10 +10,10 @@ from photocal.adjustment.parts.dissection import Dissection
 from photocal.adjustment.parts.fronts import Front, Level, eliminated, joined
 from photocal.adjustment.parts.part import OF_IMAGE
 from photocal.adjustment.solver import SINGULAR_PIVOT
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Flags, Floats, Integers
 
-# Changes the front of the last separator: where the datum is held.
-Held = Callable[[Front], Front]
+# From numbers of the last separator's unknowns and their diagonal: what is added to it, to hold the datum.
+Held = Callable[[Integers, Floats], Floats]
 
 
 class UndeterminedError(Exception):
@@ -75,11 +76,12 @@ class Upper:
         def down(node: int, above: Floats) -> Iterator[tuple[int, Floats]]:
             """Covariances at and below a set."""
             numbers, whole = self.levels[node].covariance(above)
+            order = np.argsort(numbers)
             below = self.dissection.children(node) or [node]
             for child in below:
                 of_part = child in parts
                 wanted = self.common[parts[child]] if of_part else self.levels[child].above
-                at = np.searchsorted(numbers, wanted)
+                at = order[np.searchsorted(numbers, wanted, sorter=order)]
                 part = whole[np.ix_(at, at)]
                 if of_part:
                     yield parts[child], part
@@ -89,10 +91,19 @@ class Upper:
         yield from down(len(self.dissection.parent) - 1, np.zeros((0, 0)))
 
 
-def upper(dissection: Dissection, fronts: Iterable[Front], held: Held = lambda front: front) -> Upper:
+def _of_set(dissection: Dissection, node: int, unknown: Integers) -> Flags:
+    """Unknowns, by number, of the images of a set; of the last one all that are left."""
+    if node == len(dissection.parent) - 1:
+        return np.ones(len(unknown), dtype=np.bool_)
+    # Numbers of what images share come after those of all images.
+    nodes = np.append(dissection.node, -1)
+    return np.asarray(nodes[np.minimum(unknown // OF_IMAGE, len(dissection.node))] == node)
+
+
+def upper(dissection: Dissection, fronts: Iterable[Front], held: Held | None = None) -> Upper:
     """Join the fronts of all parts, in their order, and eliminate all separators.
 
-    held: changes the last front before it is eliminated.
+    held: where nothing else holds the datum of the last separator.
     raises UndeterminedError: with the number of an unknown that is not determined.
     """
     parent, last = dissection.parent, len(dissection.parent) - 1
@@ -105,14 +116,11 @@ def upper(dissection: Dissection, fronts: Iterable[Front], held: Held = lambda f
             waiting.setdefault(at, []).append(front)
             if len(waiting[at]) < max(missing[at], 1):
                 break
-            whole = joined(waiting.pop(at))
-            image = whole.unknown // OF_IMAGE
-            here = (image < len(dissection.node)) & (
-                dissection.node[np.minimum(image, len(dissection.node) - 1)] == at
-            )
-            if at == last:
-                whole, here = held(whole), np.ones(len(image), dtype=np.bool_)
-            levels[at], front = eliminated(whole, whole.unknown[here])
+            whole = joined(waiting.pop(at), partial(_of_set, dissection, at))
+            if at == last and held is not None:
+                columns = np.arange(len(whole.own))
+                whole.root[columns, columns] += held(whole.own, whole.own_diagonal)
+            levels[at], front = eliminated(whole)
             if levels[at].weakest < SINGULAR_PIVOT:
                 raise UndeterminedError(levels[at].worst)
             if at == last:

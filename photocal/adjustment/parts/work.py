@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import Correction, resisted, similarity_moves, transformed
@@ -91,10 +92,30 @@ def write(path: Path, value: object) -> None:
         np.savez(stream, **packed(value))  # type: ignore[arg-type]
 
 
-def read_part(folder: str | Path, part: int) -> Part:
+@dataclass(frozen=True)
+class _Stored:
+    """A part without its names, and these: as arrays, of which there may be many."""
+
+    part: Part
+    images: NDArray[np.str_]
+    points: NDArray[np.str_]
+
+
+def write_part(folder: Path, number: int, part: Part) -> None:
+    """Write a part."""
+    network = part.network
+    bare = replace(part, network=replace(network, image_names=(), point_names=()))
+    names = np.array(network.image_names, dtype=np.str_), np.array(network.point_names, dtype=np.str_)
+    write(part_file(folder, number), _Stored(bare, *names))
+
+
+def read_part(folder: str | Path, number: int) -> Part:
     """Read a part."""
-    with np.load(part_file(folder, part)) as arrays:
-        return unpacked(Part, arrays)  # type: ignore[no-any-return]
+    with np.load(part_file(folder, number)) as arrays:
+        stored = unpacked(_Stored, arrays)
+    images, points = (tuple(names.tolist()) for names in (stored.images, stored.points))
+    part: Part = stored.part
+    return replace(part, network=replace(part.network, image_names=images, point_names=points))
 
 
 def _held(at: At) -> _Held:

@@ -17,7 +17,7 @@ from photocal.adjustment.parts.adjusting import adjust_parts, solution_of_parts
 from photocal.adjustment.parts.dissection import dissect
 from photocal.adjustment.parts.forecast import forecast
 from photocal.adjustment.parts.part import Part, divided, images_together
-from photocal.adjustment.parts.portions import Portion, write_parts, write_portions
+from photocal.adjustment.parts.portions import Portion, together_in, write_parts, write_portions
 from photocal.adjustment.solution import Solution
 from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.base.workers import Workers
@@ -150,7 +150,9 @@ def test_a_block_divided_by_portions_has_the_parts_of_the_whole(tmp_path: Path) 
     whole.mkdir()
     portions.mkdir()
     dissection = write_parts(network, 16, whole)
-    again = write_portions(empty, lambda: portions_of(network, 4), 16, portions)
+    in_four = portions_of(network, 4)
+    again = dissect(together_in(in_four, 60), network.exposures.started[:, 3:], 16)
+    write_portions(empty, in_four, again, portions)
     assert np.array_equal(again.node, dissection.node)
     for number in range(len(dissection.parts)):
         one, other = work.read_part(whole, number), work.read_part(portions, number)
