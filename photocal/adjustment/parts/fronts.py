@@ -145,7 +145,7 @@ class Level:
 
 
 def eliminated(front: Joined) -> tuple[Level, Front]:
-    """Eliminate own unknowns, in their place; returns what leads back to them, and the front of all others."""
+    """Eliminate own unknowns, in their place; returns what leads back, and the front of all others."""
     count, root, below, left = len(front.own), front.root, front.below, front.left
     weakest, worst = 1.0, -1
     if count:
