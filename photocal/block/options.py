@@ -11,7 +11,7 @@ from photocal.base.workers import Cluster, Workers
 
 @dataclass(frozen=True, kw_only=True)
 class PartsOptions(Options):
-    """Whether a block is adjusted in parts, and by whom."""
+    """Whether a block is adjusted in parts, and the processes that do it."""
 
     parts: Annotated[
         int, Option("Adjust the block in about so many parts, with the same results; 0: whole.", least=0)

@@ -29,7 +29,7 @@ from photocal.adjustment.normal import (
 from photocal.adjustment.parts.fronts import Front
 from photocal.adjustment.parts.part import OF_CAMERA, OF_IMAGE, Part, images_together
 from photocal.adjustment.rank import weakest_pivot
-from photocal.adjustment.solver import SINGULAR_PIVOT, gradient
+from photocal.adjustment.solver import SINGULAR_PIVOT
 from photocal.adjustment.state import State, moved_exposures
 from photocal.adjustment.unknowns import unknowns
 from photocal.base.arrays import Flags, Floats, Integers
@@ -339,11 +339,6 @@ def spread_points(at: Interior, condensed: Condensed, steps: Floats, points: Flo
         result,
     )
     return result
-
-
-def chi_squared(at: Interior, state: State) -> float:
-    """Give v'Pv of a part at a state; infinite where a point lies behind a camera."""
-    return gradient(at.problem, state, list(at.others(state).values()))[0]
 
 
 @dataclass(frozen=True)
