@@ -101,7 +101,7 @@ def measured(size: int) -> dict[str, Any]:
         "variance_factor": adjusted.chi_squared / (adjusted.observations - adjusted.unknowns),
         "c": float(adjusted.cameras[0, 0]),
         "sigma_c": float(np.sqrt(adjusted.camera_covariance[0, 0, 0])),
-        "sizes": {name: np.asarray(value).tolist() for name, value in asdict(sizes).items()},
+        "sizes": listed(sizes),
     }
 
 
@@ -191,6 +191,18 @@ def upper(sizes: Forecast, times: int) -> tuple[float, float]:
     return flops / 1e9, (times + 1) * sizes.traffic_bytes / 1e9
 
 
+def row_of(name: str) -> dict[str, Any]:
+    """Make one row: of a size, of a comparison, or of a million images."""
+    if name == "million":
+        return {"sizes": listed(million())}
+    return measured(int(name)) if name.isdecimal() else compared(COMPARED[name])
+
+
+def listed(sizes: Forecast) -> dict[str, Any]:
+    """Sizes as JSON has them."""
+    return {name: np.asarray(value).tolist() for name, value in asdict(sizes).items()}
+
+
 def main() -> None:
     """Measure what the command line asks for, and write the page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -199,11 +211,10 @@ def main() -> None:
     parser.add_argument("--only", default="", help="measure one row and print it")
     given = parser.parse_args()
     if given.only:
-        row = measured(int(given.only)) if given.only.isdecimal() else compared(COMPARED[given.only])
-        print(json.dumps(row))
+        print(json.dumps(row_of(given.only)))
         return
     rows = json.loads(given.rows.read_text()) if given.rows.exists() else {}
-    asked = [str(size) for size in given.sizes or SHAPES] + ([] if given.sizes else list(COMPARED))
+    asked = [str(size) for size in given.sizes or SHAPES] + ([] if given.sizes else [*COMPARED, "million"])
     threads = {"OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
     for name in asked:
         if name not in rows:
@@ -214,7 +225,7 @@ def main() -> None:
             )
             rows[name] = json.loads(done.stdout)
             given.rows.write_text(json.dumps(rows))
-    if set(map(str, SHAPES)) | set(COMPARED) <= set(rows):
+    if {*map(str, SHAPES), *COMPARED, "million"} <= set(rows):
         OUTPUT.write_text(page(rows), encoding="utf-8")
 
 
@@ -250,20 +261,23 @@ def page(rows: Mapping[str, Mapping[str, Any]]) -> str:
     ]
     lines = [
         *HEAD.format(**figures).splitlines(),
+        "",
         *table(
             "block | parts | cameras | exposures | points | standard deviations | v'Pv | redundancies | "
             "whole, s | in parts, s",
             (of_comparison(name, rows[name]) for name in COMPARED),
         ),
         *TIME.format(**figures).splitlines(),
+        "",
         *table(
             "images | rays | unknowns | parts | set-ups | divided, s | joined, s | parts, s | clock, s | "
             "peak, GiB: joining, each of the parts' | c, mm (true: 20)",
             (of_size(rows[str(size)]) for size in SHAPES),
         ),
         *COST.format(**figures).splitlines(),
+        "",
         *table(" | predicted | measured", predicted),
-        *of_million(int(large["factorisations"]), image, operation, byte),
+        *of_million(sizes_of(rows["million"]), int(large["factorisations"]), image, operation, byte),
     ]
     return "\n".join(lines) + "\n"
 
@@ -324,14 +338,13 @@ def of_size(row: Mapping[str, Any]) -> list[object]:
     return [*counts, *seconds, memory, f"{row['c']:.4f} ± {row['sigma_c']:.4f}"]
 
 
-def of_million(times: int, image: float, operation: float, byte: float) -> list[str]:
+def of_million(sizes: Forecast, times: int, image: float, operation: float, byte: float) -> list[str]:
     """What a million images would take."""
-    sizes = million()
     flops, traffic = upper(sizes, times)
     count = int(sizes.inner.sum() + sizes.own.sum())
     of_parts, of_upper = image * count * (times + 1) / 3600, (operation * flops + byte * traffic) / 3600
-    # Of each ray and point, arrays of some 600 bytes.
-    held = sizes.part_bytes.sum() + 600.0 * RAYS * count
+    # Of each ray, with its share of a point, arrays of some 450 bytes, as measured with 50 000 images.
+    held = sizes.part_bytes.sum() + 450.0 * RAYS * count
     counted = [
         ("parts", len(sizes.inner)),
         (
@@ -352,6 +365,7 @@ def of_million(times: int, image: float, operation: float, byte: float) -> list[
     hours = [(cores, f"{of_parts / cores + of_upper:.1f}") for cores in (2, 16, 64)]
     return [
         *text.splitlines(),
+        "",
         *table("what | of a million images", counted),
         *table("cores for the parts | hours, where joining and parts do not overlap", hours),
         *LIMITS.splitlines(),

@@ -60,7 +60,10 @@ class Forecast:
     def upper_bytes(self) -> float:
         """What the process that joins the parts holds: factors of all separators, and fronts that wait."""
         k, m = _WIDE * self.own, _WIDE * self.above + self.shared
-        return float(_BYTES * (np.sum(k * (k + m)) + self.waiting + 3 * np.max((k + m) ** 2, initial=0)))
+        # Covariances come down one path of fronts, each with a copy for those below; areas of fronts halve
+        # every second time: together about eight of the largest.
+        path = 8.0 * np.max((k + m) ** 2.0, initial=0.0)
+        return float(_BYTES * (np.sum(k * (k + m)) + max(path, float(self.waiting))))
 
     @property
     def part_bytes(self) -> Floats:
