@@ -59,17 +59,21 @@ class Correction:
         return np.asarray(covariance - mixed - np.swapaxes(mixed, 1, 2) + of_datum)
 
 
-def similarity_moves(problem: Problem, state: State) -> tuple[Floats, Floats]:
-    """Changes of all unknowns under small similarity transformations of the object space."""
-    points = _displacements(state.points - state.centre.mean(axis=0))
+def similarity_moves(problem: Problem, state: State, about: Floats | None = None) -> tuple[Floats, Floats]:
+    """Changes of all unknowns under small similarity transformations of the object space.
+
+    about (3,): the place that does not move; the middle of the centres where it is not given.
+    """
+    middle = state.centre.mean(axis=0) if about is None else about
+    points = _displacements(state.points - middle)
     points[problem.network.points.held] = 0.0
-    return _reduced_moves(problem, state), points
+    return _reduced_moves(problem, state, middle), points
 
 
-def _reduced_moves(problem: Problem, state: State) -> Floats:
-    """Those of the unknowns that stay in the reduced system."""
+def _reduced_moves(problem: Problem, state: State, about: Floats | None = None) -> Floats:
+    """Those of the unknowns that stay in the reduced system; `about` as in `similarity_moves`."""
+    middle = state.centre.mean(axis=0) if about is None else about
     columns, layout = problem.layout.image_columns, problem.layout
-    middle = state.centre.mean(axis=0)
     kept = _displacements(state.points[layout.kept_points] - middle)
     kept[problem.network.points.held[layout.kept_points]] = 0.0
     reduced = np.zeros((layout.size, 7))
@@ -95,13 +99,23 @@ def _displacements(relative: Floats) -> Floats:
 
 def open_combinations(problem: Problem, normal: Normal, moves: Floats) -> Floats:
     """Combinations of the seven transformations that no observation sees, shape (7, d)."""
+    return open_of(*resisted(problem, normal, moves))
+
+
+def resisted(problem: Problem, normal: Normal, moves: Floats) -> tuple[Floats, Floats]:
+    """How the unknowns resist the seven transformations each alone, (7,), and all together, (7, 7)."""
+    form = moves.T @ multiply(problem.layout.envelope, normal.matrix, moves)
+    return _resistance(problem, normal) @ moves**2, form
+
+
+def open_of(alone: Floats, form: Floats) -> Floats:
+    """Combinations that no observation sees, (7, d), from what `resisted` gives."""
     # Share of its own diagonal that a similarity transformation may change v'Pv by and still be free.
     open_share = 1e-9
-    length = np.sqrt(_resistance(problem, normal) @ moves**2)
+    length = np.sqrt(alone)
     movable = length > 0
     length[~movable] = 1.0
-    scaled = moves / length
-    form = scaled.T @ multiply(problem.layout.envelope, normal.matrix, scaled)
+    form = form / np.outer(length, length)
     # What nothing can move is not open.
     form[~movable, ~movable] += 1.0
     eigenvalues, vectors = np.linalg.eigh((form + form.T) / 2)
@@ -184,7 +198,7 @@ def inner_state(problem: Problem, normal: Normal | None, state: State, start: St
         size = np.linalg.norm(datum_moves, axis=0)
         square = (datum_moves.T @ datum_moves) / np.outer(size, size)
         change = np.linalg.lstsq(square, datum_moves.T @ away / size, rcond=None)[0] / size
-        state = _transformed(state, open_ones @ change)
+        state = transformed(state, open_ones @ change)
         if np.abs(datum_moves @ change).max() < 1e-12 * np.ptp(state.points):
             break
     return state
@@ -225,13 +239,13 @@ def at_rest(problem: Problem, state: State, worth: float) -> State | None:
     for _ in range(NEWTON):
         # An unknown of its own for each transformation that something resists, of a sigma each.
         steps = [np.where(np.arange(7) == k, SMALL * unit, 0.0) for k in range(7)]
-        ahead = [_others_moved(problem, _transformed(state, step))[1] for step in steps]
+        ahead = [_others_moved(problem, transformed(state, step))[1] for step in steps]
         curved = np.divide(
             np.array(ahead) - slope, SMALL * unit[:, None], where=unit[:, None] > 0.0, out=np.zeros((7, 7))
         )
         change, gain = _newton((curved + curved.T) / 2, slope, unit)
         while gain > CONVERGED:
-            moved = _transformed(state, change)
+            moved = transformed(state, change)
             lower, *there = _others_moved(problem, moved)
             if lower < chi_squared:
                 break
@@ -274,9 +288,9 @@ def _others_moved(problem: Problem, state: State) -> tuple[float, Floats, Floats
     return chi_squared, slope, curvature
 
 
-def _transformed(state: State, change: Floats) -> State:
-    """Apply a similarity: translation, rotation vector and scale, about the middle of the centres."""
-    middle = state.centre.mean(axis=0)
+def transformed(state: State, change: Floats, about: Floats | None = None) -> State:
+    """Apply a similarity: translation, rotation vector and scale, about a place, see `similarity_moves`."""
+    middle = state.centre.mean(axis=0) if about is None else about
     turn = Rotation.from_rotvec(change[3:6]).as_matrix()
     matrix, shift = (1.0 + change[6]) * turn, middle + change[:3]
     return replace(

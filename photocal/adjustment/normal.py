@@ -1,6 +1,7 @@
 """Normal equations of a network, reduced to images and cameras."""
 
 import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -233,15 +234,22 @@ def add_rays(
 
 
 def normal_equations(
-    problem: Problem, state: State, damping: float = 0.0, room: Eliminated | None = None
+    problem: Problem,
+    state: State,
+    damping: float = 0.0,
+    room: Eliminated | None = None,
+    others: Iterable[Equations] | None = None,
 ) -> Normal:
-    """Set up the reduced normal equations at a state."""
+    """Set up the reduced normal equations at a state.
+
+    others: observations beside the rays and the points, where these are not all of the problem's.
+    """
     design, structure = problem.design, problem.layout.envelope
     kept = room or eliminated(problem, len(design.ray_image), len(design.point_free))
     matrix = np.zeros(int(structure.offset[-1]))
     values = values_of(problem, state)
     gradient, total = add_rays(problem, design, values, kept, matrix, damping=damping)
-    for equations in other_equations(problem, state).values():
+    for equations in other_equations(problem, state).values() if others is None else others:
         add_equations(*equations, structure, matrix, gradient)
         total += equations.chi_squared()
     diagonal = diagonal_addresses(problem)

@@ -98,7 +98,7 @@ def _on_processes(
                     waiting.append(_ended(function(task)))
                 else:
                     if pool is None:
-                        opened.enter_context(_one_thread_each())
+                        opened.enter_context(one_thread_each())
                         pool = opened.enter_context(_pool(processes))
                     waiting.append(pool.submit(function, task))
                 if len(waiting) > 2 * processes:
@@ -128,7 +128,7 @@ def _prepare() -> None:
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
+def one_thread_each() -> Iterator[None]:
     """Let the processes that start now compute with one thread each."""
     before = {name: os.environ[name] for name in _THREADS if name in os.environ}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
@@ -177,7 +177,7 @@ class Cluster:
         raises DeviceError: when no scheduler answers, or it or all workers are lost.
         raises PhotocalError: what a task raised.
         """
-        with self._client() as client:
+        with self.client() as client:
             threads = sum(client.ncores().values())
             waiting: deque[Any] = deque()
             # So many tasks wait for each thread of a worker: none is idle, and few results are held.
@@ -196,7 +196,7 @@ class Cluster:
         raises ProgramMissingError, DeviceError: as `run`.
         """
         cache.mkdir(parents=True, exist_ok=True)
-        with self._client() as client, tempfile.NamedTemporaryFile(dir=cache) as proof:
+        with self.client() as client, tempfile.NamedTemporaryFile(dir=cache) as proof:
             for path, folder in ((Path(proof.name), cache), (images, images)):
                 seen: dict[str, bool] = client.run(os.path.exists, str(path.resolve()))
                 blind = sorted(name for name, sees in seen.items() if not sees)
@@ -208,7 +208,8 @@ class Cluster:
                     )
 
     @contextmanager
-    def _client(self) -> Iterator[Any]:
+    def client(self) -> Iterator[Any]:
+        """Join the cluster; errors as of `run`."""
         try:
             distributed: Any = importlib.import_module("distributed")
         except ImportError as refusal:

@@ -25,6 +25,7 @@ from photocal.base.console import (
 )
 from photocal.base.errors import ConfigurationError
 from photocal.base.progress_bars import progress
+from photocal.block.options import PartsOptions
 from photocal.report.options import CertificateOptions
 
 
@@ -55,6 +56,7 @@ def adjust(
         str, option("Write the joint covariance of `image:NAME,point:NAME,camera:ID,head:CAMERA,mounting`.")
     ] = "",
     *,
+    apart: PartsOptions,
     answering: Answering,
 ) -> None:
     """Adjust a block: camera, orientations and points with their complete statistics.
@@ -64,6 +66,7 @@ def adjust(
     from photocal.base.compiled import compile_ahead
     from photocal.block.results.adjusted import adjust_block
     from photocal.block.results.folder import result_json
+    from photocal.block.results.in_parts import adjust_block_in_parts
     from photocal.block.results.more_tables import Wanted, parse_joint
     from photocal.exchange.formats import read_any_block
     from photocal.findings.texts import catalogue, spoken
@@ -74,8 +77,17 @@ def adjust(
     if ellipses is not None and not 0 < ellipses < 1:
         raise ConfigurationError(f"--ellipses {ellipses:g} is not a probability", "give 0.95 for 95 %")
     wanted = Wanted(ellipses, reliability, components, parse_joint(joint))
+    if apart.parts and (test or wanted != Wanted()):
+        raise ConfigurationError(
+            "--parts goes with no other figures than the usual ones",
+            "leave out --snoop, --ellipses, --reliability, --components and --joint, or --parts",
+        )
     compile_ahead()
-    result = adjust_block(block, output, test, iteration_lines("adjusting"), wanted, read_any_block)
+    lines = iteration_lines("adjusting")
+    if apart.parts:
+        result = adjust_block_in_parts(block, output, apart, lines, read_any_block)
+    else:
+        result = adjust_block(block, output, test, lines, wanted, read_any_block)
     say = catalogue(spoken(answering.language))
     written = say("result.written", place=output)
     answer(answering.as_json, lambda: result_json(result), lambda: f"{result.text(say)}\n{written}")

@@ -564,6 +564,14 @@ def _control_in_doubt(network: Network) -> Iterator[None]:
         raise
 
 
+def seen_from_before(assembly: NetworkOfBlock) -> NetworkOfBlock:
+    """Leave out points that no start value brings before their cameras."""
+    network = assembly.network
+    known = network.points.held.any(axis=1) | network.points.weight.any(axis=(1, 2))
+    lost = behind_cameras(network.exposures, network.rays, network.points.values) & ~known
+    return _part(assembly, *subset(network, ~lost[network.rays.point])) if lost.any() else assembly
+
+
 def adjusted(
     assembly: NetworkOfBlock, snooping: Test | None = None, report: Report | None = None
 ) -> tuple[NetworkOfBlock, Solution]:
@@ -571,11 +579,7 @@ def adjusted(
 
     raises PhotocalError: for an ill-posed network.
     """
-    network = assembly.network
-    known = network.points.held.any(axis=1) | network.points.weight.any(axis=(1, 2))
-    lost = behind_cameras(network.exposures, network.rays, network.points.values) & ~known
-    if lost.any():
-        assembly = _part(assembly, *subset(network, ~lost[network.rays.point]))
+    assembly = seen_from_before(assembly)
     with because("calibration of the block"):
         if snooping is None:
             network, solution, readouts = adjust_moving_images(assembly.network, report)
