@@ -10,6 +10,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.readout import READOUT, rolls_whatever_the_lens, with_readouts
 from photocal.adjustment.shake import with_shake
 from photocal.adjustment.solution import Solution
+from photocal.adjustment.solver import CONVERGED
 from photocal.adjustment.start.model import UNLIKE, robust_adjustment
 from photocal.adjustment.state import State, start_state
 from photocal.base.arrays import Flags, Floats, Integers
@@ -35,6 +36,8 @@ from photocal.measurement.tracks import Tracks, of_images
 
 # A round takes out a third or less of what the one before has: after this share no later one would show.
 _ROUNDS, FEW_LEFT = 8, 1e-4
+# Squared distance to the minimum, in standard deviations of all unknowns together, that may be left of a round.
+_ENOUGH = 1e-6
 # Three rays give a pose that nothing checks.
 FEWEST_RAYS = 6
 Solved = tuple[Block, NetworkOfBlock, Solution]
@@ -72,19 +75,31 @@ class AdjustedTies:
 
 @dataclass(frozen=True)
 class _Ties:
-    """What is being adjusted; images lose their hold, points and rays fall out."""
+    """What is being adjusted; images lose their hold, points and rays fall out.
+
+    places (tracks, 3): of the points as they were adjusted last, in the block's coordinates; NaN for others.
+    """
 
     start: Block
     poses: Floats
     tracks: Tracks
     sigma: Floats
+    places: Floats
     left_out: tuple[dict[str, str], ...] = ()
 
     def some(self, rays: Flags) -> Self:
         """Keep some of the rays, and of those the points with two of them."""
-        left = np.bincount(self.tracks.track[rays], minlength=self.tracks.count)
-        used = rays & (left >= 2)[self.tracks.track]
-        return replace(self, tracks=self.tracks.some(rays), sigma=self.sigma[used])
+        stay = np.bincount(self.tracks.track[rays], minlength=self.tracks.count) >= 2
+        used = rays & stay[self.tracks.track]
+        return replace(self, tracks=self.tracks.some(rays), sigma=self.sigma[used], places=self.places[stay])
+
+    def adjusted(self, start: Block, assembly: NetworkOfBlock, solution: Solution) -> Self:
+        """Images and points as an adjustment has placed them."""
+        places = np.full((self.tracks.count, 3), np.nan)
+        first = len(start.points.names)
+        tie = assembly.points >= first
+        places[assembly.points[tie] - first] = assembly.frame.to_given(solution.points[tie])
+        return replace(self, start=start, poses=given_exposures(assembly, solution)[0], places=places)
 
     def held(self) -> tuple[Self, Block]:
         """Points that their rays determine, images that enough of them hold, and both as a block.
@@ -99,6 +114,8 @@ class _Ties:
             if not known.all():
                 ties, values = ties.some(known[ties.tracks.track]), values[known]
             held = replace(ties.start, images=_kept(ties.start, ties.poses))
+            # As they were adjusted last, the next adjustment begins near its end.
+            values = np.where(np.isfinite(ties.places), ties.places, values)
             block = with_ties(held, ties.tracks, values, ties.sigma)
             count = np.bincount(block.observations.image, minlength=len(images.names))
             if (count >= FEWEST_RAYS).all():
@@ -162,19 +179,20 @@ def _adjusted(start: Block, poses: Floats, tracks: Tracks) -> AdjustedTies:
 
 def _fitting_ties(start: Block, poses: Floats, tracks: Tracks) -> _Ties:
     """The rays that fit, with their sigmas, and the block as they leave it."""
-    ties, block = _Ties(start, poses, tracks, np.ones(len(tracks.track))).held()
+    nowhere = np.full((tracks.count, 3), np.nan)
+    ties, block = _Ties(start, poses, tracks, np.ones(len(tracks.track)), nowhere).held()
     as_oriented = replace(block, images=replace(block.images, values=ties.poses))
     ties, block = ties.some(fitting(as_oriented)[len(ties.start.observations.image) :]).held()
     for round_ in range(_ROUNDS):
         # Gross errors first: they must not go into the camera.
         try:
-            start, assembly, solution = _solved(ties.start, block, ties.poses, held=round_ == 0)
+            start, assembly, solution = _solved(ties.start, block, ties.poses, held=round_ == 0, near=_ENOUGH)
         except (IllPosedError, NotConvergedError) as refusal:
             # Of a datum that positions hold loosely few gross errors make a valley without an end.
             if not _few_apart(refusal, block):
                 ties, block = _robustly(ties, block).held()
             ties, block, (start, assembly, solution) = _where_rays_meet(ties, block, held=round_ == 0)
-        ties = replace(ties, start=start, poses=given_exposures(assembly, solution)[0])
+        ties = ties.adjusted(start, assembly, solution)
         size, redundancy = by_ray(assembly, solution)
         tie_rays = slice(len(start.observations.image), None)
         sigma = ray_sigmas(ties.tracks.scale, ties.tracks.image, size[tie_rays], redundancy[tie_rays])
@@ -212,26 +230,29 @@ def _kept(start: Block, poses: Floats) -> Images:
     return replace(images, values=np.where(np.isfinite(images.sigma), images.values, poses))
 
 
-def _solved(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
+def _solved(start: Block, block: Block, poses: Floats, *, held: bool, near: float = CONVERGED) -> Solved:
     """Adjust, and give the cameras their new values; where the block does not bear them they are held."""
     try:
-        return _solved_with(start, block, poses, _held(start.cameras) if held else start.cameras)
+        return _solved_with(start, block, poses, _held(start.cameras) if held else start.cameras, near)
     except (IllPosedError, NotConvergedError) as refusal:
         # These points go first.
         if _few_apart(refusal, block):
             raise
         # A readout, and how each image moves in it, is what few images bear least.
         if any(camera.rolling for camera in start.cameras):
-            return _solved(replace(start, cameras=without_readouts(start.cameras)), block, poses, held=held)
+            plain = replace(start, cameras=without_readouts(start.cameras))
+            return _solved(plain, block, poses, held=held, near=near)
         if not any(camera.estimated.any() for camera in start.cameras):
             raise
         start = start if held else replace(start, cameras=_held(start.cameras))
-        return _solved_with(start, block, poses, _held(start.cameras))
+        return _solved_with(start, block, poses, _held(start.cameras), near)
 
 
-def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camera, ...]) -> Solved:
+def _solved_with(
+    start: Block, block: Block, poses: Floats, cameras: tuple[Camera, ...], near: float
+) -> Solved:
     assembly, state = assembled(replace(block, cameras=cameras), poses)
-    solution = adjust(assembly.network, state=state)
+    solution = adjust(assembly.network, state=state, near=near)
     # A rolling shutter looks like gross errors; who holds the lens cannot tell it.
     asked = any(camera.shutter == "unknown" and camera.estimated.any() for camera in cameras)
     if asked and rolls_whatever_the_lens(assembly.network, solution):
@@ -360,7 +381,9 @@ def _robustly(ties: _Ties, block: Block) -> _Ties:
     poses = np.hstack([angles_from_matrix(state.rotation), state.centre])
     good = fit <= UNLIKE * np.median(fit)
     ties = ties.some(good[len(ties.start.observations.image) :])
-    return replace(ties, poses=given_poses(assembly.frame, poses))
+    return replace(
+        ties, poses=given_poses(assembly.frame, poses), places=np.full((ties.tracks.count, 3), np.nan)
+    )
 
 
 def _held(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
