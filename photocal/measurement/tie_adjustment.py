@@ -36,7 +36,7 @@ from photocal.measurement.tracks import Tracks, of_images
 
 # A round takes out a third or less of what the one before has: after this share no later one would show.
 _ROUNDS, FEW_LEFT = 8, 1e-4
-# Squared distance to the minimum, in standard deviations of all unknowns together, that may be left of a round.
+# Squared distance to the minimum, in standard deviations, that may be left of a round.
 _ENOUGH = 1e-6
 # Three rays give a pose that nothing checks.
 FEWEST_RAYS = 6

@@ -189,7 +189,7 @@ def run_project(
 
 
 def _begin_ahead(later: Sequence[Stage], due: Container[str], made: Sequence[StageResult]) -> None:
-    """Begin what later stages wait for where the stages that they follow, of which the last is new, are made."""
+    """Begin what later stages wait for, once those that they follow are made, and the last of them anew."""
     new = {result.name: not result.kept for result in made}
     last = made[-1].name if made else ""
     for stage in later:
