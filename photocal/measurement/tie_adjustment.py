@@ -109,13 +109,12 @@ class _Ties:
         ties = self
         while True:
             images = replace(ties.start.images, values=ties.poses)
-            values = place(replace(ties.start, images=images), ties.tracks)
+            # As they were adjusted last, the next adjustment begins near its end.
+            values = place(replace(ties.start, images=images), ties.tracks, known=ties.places)
             known = np.asarray(np.isfinite(values).all(axis=1))
             if not known.all():
                 ties, values = ties.some(known[ties.tracks.track]), values[known]
             held = replace(ties.start, images=_kept(ties.start, ties.poses))
-            # As they were adjusted last, the next adjustment begins near its end.
-            values = np.where(np.isfinite(ties.places), ties.places, values)
             block = with_ties(held, ties.tracks, values, ties.sigma)
             count = np.bincount(block.observations.image, minlength=len(images.names))
             if (count >= FEWEST_RAYS).all():
