@@ -1,9 +1,11 @@
 """Work that a copy of this process does beside it, while this one goes on with what does not wait for it."""
 
 import gc
+import io
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import Context, ContextVar
@@ -31,8 +33,7 @@ class Beside(Generic[Result]):
         self._from_copy: Connection[Any, Any] | None = None
         self._copy = 0
         started = _STARTED.get()
-        # Libraries of macOS do not stand it, Windows has it not.
-        if started is None or sys.platform != "linux" or (os.cpu_count() or 1) < 2:
+        if started is None or not _can_copy():
             return
         self._from_copy, to_parent = Pipe(duplex=False)
         with suppress(OSError):
@@ -58,10 +59,20 @@ class Beside(Generic[Result]):
         return Context().run(self._work, told)
 
 
+def _can_copy() -> bool:
+    """Whether this process can be copied, and there is a core for the copy."""
+    # Libraries of macOS do not stand it, Windows has it not. What other threads hold, in a server that runs
+    # this as one of its threads, nobody would give back in the copy.
+    alone = threading.current_thread() is threading.main_thread()
+    return sys.platform == "linux" and alone and (os.cpu_count() or 1) > 1
+
+
 def _answer(work: Callable[[Told], Any], to_parent: "Connection[Any, Any]") -> None:
     """Do a piece of work as the copy of a process, and end; without an answer where it fails."""
     try:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+        # This process writes there, perhaps just now.
+        sys.stdout = sys.stderr = io.StringIO()
         # Looking at all objects would copy their pages.
         gc.disable()
         to_parent.send((True, Context().run(work, lambda share: to_parent.send((False, share)))))

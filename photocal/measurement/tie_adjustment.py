@@ -1,5 +1,6 @@
 """Adjusting a block of tie points robustly: gross errors taken out, sigmas estimated from the residuals."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -333,7 +334,7 @@ def assembled(block: Block, poses: Floats) -> tuple[NetworkOfBlock, State]:
 def _where_rays_meet(ties: _Ties, block: Block, *, held: bool) -> tuple[_Ties, Block, Solved]:
     """Adjust at last, without the tie points whose rays turn out not to meet."""
     # Few of them are wrong themselves; when many do not meet, positions or control may keep them apart.
-    solved = _solved
+    solved: Callable[..., Solved] = _solved
     while True:
         try:
             return ties, block, solved(ties.start, block, ties.poses, held=held)

@@ -129,7 +129,7 @@ def place(
     frame = block_frame(block)
     views = views_of(block, frame)
     points = np.full((tracks.count, 3), np.nan) if known is None else frame.to_local(known)
-    met = np.isfinite(points).all(axis=1)
+    met: Flags = np.asarray(np.isfinite(points).all(axis=1))
     if not met.all():
         points = np.where(met[:, None], points, intersected(views, tracks))
     away = points[tracks.track] - views.station[tracks.image]

@@ -6,13 +6,14 @@ import os
 import signal
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from photocal.adjustment.ledger import NamedAdjustment, because, enter, enter_again, ledger
-from photocal.base import beside as module
 from photocal.base.arrays import Floats
 from photocal.base.beside import Beside, Told, beside
 from photocal.base.compiled import each_piece
@@ -48,12 +49,20 @@ def test_the_copy_works_with_threads_of_its_own() -> None:
 
 
 def test_without_copies_the_work_is_done_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module.os, "cpu_count", lambda: 1)
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
     with beside():
         assert Beside(squares).result(lambda _: None)[0] == os.getpid()
     monkeypatch.undo()
     # Nobody would end a copy.
     assert Beside(squares).result(lambda _: None)[0] == os.getpid()
+
+
+def test_a_thread_of_a_server_copies_nothing() -> None:
+    with beside(), ThreadPoolExecutor(1) as others:
+        assert (
+            others.submit(copy_context().run, lambda: Beside(squares).result(lambda _: None)[0]).result()
+            == os.getpid()
+        )
 
 
 def test_what_fails_fails_here() -> None:

@@ -141,7 +141,12 @@ def test_an_analysis_in_a_copy_of_the_process_gives_the_same_files(
     shutil.copytree(site, new, ignore=shutil.ignore_patterns("work", "new"))
     copies = list[int]()
     fork = os.fork if hasattr(os, "fork") else lambda: 0
-    monkeypatch.setattr(os, "fork", lambda: copies.append(1) or fork(), raising=False)
+
+    def copied() -> int:
+        copies.append(1)
+        return fork()
+
+    monkeypatch.setattr(os, "fork", copied, raising=False)
     brought(site, lambda _: None)
     assert len(copies) == (sys.platform == "linux" and (os.cpu_count() or 1) > 1)
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
