@@ -24,8 +24,8 @@ class Beside(Generic[Result]):
     matter: work that does not come to its end there is done here when its result is asked for, and fails
     here, too. So it is on systems that cannot copy a process, or not safely.
 
-    work: gets what is told of the share that was done; it writes nothing to standard output, and sees no
-        context (`contextvars`) of who begins it.
+    work: gets a function that takes the share done since its last call; it writes nothing to standard output,
+        and sees no context (`contextvars`) of who begins it.
     """
 
     def __init__(self, work: Callable[[Told], Result]) -> None:
@@ -44,7 +44,7 @@ class Beside(Generic[Result]):
         to_parent.close()
 
     def result(self, told: Told) -> Result:
-        """Wait for the result; `told` gets the share that was done since it was called last."""
+        """Wait for the result; `told` gets the shares that were done."""
         while self._from_copy is not None:
             try:
                 done, share = self._from_copy.recv()
