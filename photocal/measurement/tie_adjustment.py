@@ -149,12 +149,16 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks, cache: Path | None 
 
     cache: folder where the result is kept, for blocks that are adjusted again: those without marks.
     """
-    return made_once(cache, AdjustedTies, (start, poses, tracks), lambda: _adjusted(start, poses, tracks))
+    # Patches are cut as the kept ones orient the images: what is left there would change which points match.
+    near = _ENOUGH if cache is None else CONVERGED
+    return made_once(
+        cache, AdjustedTies, (start, poses, tracks), lambda: _adjusted(start, poses, tracks, near)
+    )
 
 
-def _adjusted(start: Block, poses: Floats, tracks: Tracks) -> AdjustedTies:
+def _adjusted(start: Block, poses: Floats, tracks: Tracks, near: float) -> AdjustedTies:
     total, given = len(tracks.track), start.cameras
-    ties = _fitting_ties(start, poses, tracks)
+    ties = _fitting_ties(start, poses, tracks, near)
     # Readouts that the network did not bear while rays still fell out are tested once more.
     ties, block = replace(ties, start=_opened(ties.start, given)).held()
     ties, block, solved = _where_rays_meet(ties, block, held=False)
@@ -177,22 +181,27 @@ def _adjusted(start: Block, poses: Floats, tracks: Tracks) -> AdjustedTies:
     return AdjustedTies(block, start, ties.tracks, values, assembly, solution, rejected, ties.left_out)
 
 
-def _fitting_ties(start: Block, poses: Floats, tracks: Tracks) -> _Ties:
-    """The rays that fit, with their sigmas, and the block as they leave it."""
-    nowhere = np.full((tracks.count, 3), np.nan)
-    ties, block = _Ties(start, poses, tracks, np.ones(len(tracks.track)), nowhere).held()
+def _fitting_ties(start: Block, poses: Floats, tracks: Tracks, near: float) -> _Ties:
+    """The rays that fit, with their sigmas, and the block as they leave it.
+
+    near: squared distance to its minimum that a round may leave, see `adjust`; where it may leave some, the
+        next one begins at the points of the last.
+    """
+    ties, block = _Ties(start, poses, tracks, np.ones(len(tracks.track)), _nowhere(tracks)).held()
     as_oriented = replace(block, images=replace(block.images, values=ties.poses))
     ties, block = ties.some(fitting(as_oriented)[len(ties.start.observations.image) :]).held()
     for round_ in range(_ROUNDS):
         # Gross errors first: they must not go into the camera.
         try:
-            start, assembly, solution = _solved(ties.start, block, ties.poses, held=round_ == 0, near=_ENOUGH)
+            start, assembly, solution = _solved(ties.start, block, ties.poses, held=round_ == 0, near=near)
         except (IllPosedError, NotConvergedError) as refusal:
             # Of a datum that positions hold loosely few gross errors make a valley without an end.
             if not _few_apart(refusal, block):
                 ties, block = _robustly(ties, block).held()
             ties, block, (start, assembly, solution) = _where_rays_meet(ties, block, held=round_ == 0)
         ties = ties.adjusted(start, assembly, solution)
+        if near == CONVERGED:
+            ties = replace(ties, places=_nowhere(ties.tracks))
         size, redundancy = by_ray(assembly, solution)
         tie_rays = slice(len(start.observations.image), None)
         sigma = ray_sigmas(ties.tracks.scale, ties.tracks.image, size[tie_rays], redundancy[tie_rays])
@@ -381,9 +390,12 @@ def _robustly(ties: _Ties, block: Block) -> _Ties:
     poses = np.hstack([angles_from_matrix(state.rotation), state.centre])
     good = fit <= UNLIKE * np.median(fit)
     ties = ties.some(good[len(ties.start.observations.image) :])
-    return replace(
-        ties, poses=given_poses(assembly.frame, poses), places=np.full((ties.tracks.count, 3), np.nan)
-    )
+    return replace(ties, poses=given_poses(assembly.frame, poses), places=_nowhere(ties.tracks))
+
+
+def _nowhere(tracks: Tracks) -> Floats:
+    """Places of points of which none is known."""
+    return np.full((tracks.count, 3), np.nan)
 
 
 def _held(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
