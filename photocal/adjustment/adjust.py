@@ -22,15 +22,19 @@ from photocal.geometry.resection import intersect
 
 
 def adjust(
-    network: Network, report: Callable[[Iteration], None] | None = None, state: State | None = None
+    network: Network,
+    report: Callable[[Iteration], None] | None = None,
+    state: State | None = None,
+    near: float = CONVERGED,
 ) -> Solution:
     """Adjust a network by weighted least squares (Gauss-Markov model with weighted constraints).
 
     state: to start from, in place of the network's values: of a solution of the same images and points.
+    near: squared distance to the minimum, in units of the standard deviations, that may be left.
     raises IllPosedError: when the observations do not determine the unknowns.
     raises NotConvergedError: when the iteration does not end.
     """
-    return adjusted_network(network, report, state).solution
+    return with_statistics(*minimum_of(network, report, state, near)).solution
 
 
 def adjusted_network(

@@ -16,6 +16,7 @@ from typing import Any, TypeVar, cast
 import numba
 from llvmlite import ir
 from numba import types
+from numba.core.runtime.nrt import rtsys
 from numba.extending import intrinsic
 
 from photocal.base.errors import OutputError, ProgramMissingError
@@ -174,9 +175,21 @@ def _compiled(function: Function, **options: Any) -> Function:
     before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
     numba.config.CACHE_DIR = str(FOLDER)  # type: ignore[attr-defined]
     try:
-        return cast("Function", numba.njit(**options)(function))
+        made = numba.njit(**options)(function)
     finally:
         numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
+    made._cache.load_overload = partial(_loaded, made._cache)
+    return cast("Function", made)
+
+
+def _loaded(kept: Any, signature: Any, target: Any) -> Any:
+    """A kernel from disk, None where it is not there; what only compilation needs is not loaded.
+
+    That takes longer than the kernels themselves, and the compiler loads it when it is asked to compile.
+    """
+    rtsys.initialize(target)
+    with kept._guard_against_spurious_io_errors():
+        return kept._load_overload(signature, target)
 
 
 def each_piece(count: int, work: Callable[[int], None]) -> None:
@@ -201,6 +214,11 @@ def each_piece(count: int, work: Callable[[int], None]) -> None:
 @cache
 def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(THREADS)
+
+
+# A copy of this process has none of its threads.
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_threads.cache_clear)
 
 
 if __name__ == "__main__":

@@ -357,6 +357,9 @@ def run(app: Callable[..., Any], texts: Callable[[str], "Texts"], commands: str)
         sys.stdout.reconfigure(errors="replace")
     # At its end the interpreter would look at every object for half a second; nothing is left to be freed.
     atexit.register(gc.freeze)
+    # By its usual limit it would look at them again and again while modules are loaded: a fifth of that time.
+    rarely = 100_000
+    gc.set_threshold(rarely)
     try:
         sys.exit(app(standalone_mode=False, obj=helped))
     except _Misuse as misuse:

@@ -5,9 +5,11 @@ names of both. What is no column (a text, a number, the shapes) stands in the me
 """
 
 import json
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from importlib import import_module
+from importlib.abc import MetaPathFinder
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Self, TypeVar, Union, get_args, get_origin
@@ -95,6 +97,30 @@ def package(name: str) -> Any:
     except ModuleNotFoundError as missing:
         name = name.partition(".")[0]
         raise ProgramMissingError(f"{name} is not installed", f"run: pip install {name}") from missing
+
+
+class _Absent(MetaPathFinder):
+    """Finds no pandas, as where it is not installed."""
+
+    def find_spec(self, fullname: str, *_: Any) -> None:
+        """Refuse pandas; others look for all else."""
+        if fullname == "pandas":
+            raise ModuleNotFoundError(fullname, name=fullname)
+
+
+def leave_pandas() -> None:
+    """Keep Arrow from loading pandas, which it looks for with its first value: a command shows no frames.
+
+    Who asks Arrow for a frame gets it nevertheless.
+    """
+    if "pandas" in sys.modules:
+        return
+    absent = _Absent()
+    sys.meta_path.insert(0, absent)
+    try:
+        package("pyarrow").scalar("")
+    finally:
+        sys.meta_path.remove(absent)
 
 
 def arrow_table(shown: Any) -> Any:

@@ -238,12 +238,14 @@ def assemble(block: Block) -> NetworkOfBlock:
         weight[weighted] = np.swapaxes(back, 1, 2) @ weight[weighted] @ back
     names = tuple(block.points.names[j] for j in used)
     relations = _relations(block, position)
+    directions = np.zeros(weight.shape)
+    directions[control] = _known_directions(weight[control], held[control])
     exposures, values = with_start_values(
         block,
         exposures,
         rays,
         frame.to_local(block.points.values[used]),
-        _known_directions(weight, held) * control[:, None, None],
+        directions,
         relations,
         ~block.points.of_role("tie")[used],
     )

@@ -122,8 +122,11 @@ def run(
     """
     import datetime as dt
 
+    from photocal.base.tables import leave_pandas
     from photocal.base.workers import Cluster
     from photocal.findings.texts import catalogue, spoken
+
+    leave_pandas()
     from photocal.run.campaign import Said, run_projects, say_line
     from photocal.run.summary import certificate_line, summary_text
 

@@ -1,6 +1,6 @@
 """From one camera model to another: exactly where they agree, else by a fit whose residual is stated."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -137,8 +137,6 @@ def _grid(camera: Camera) -> tuple[Floats, Floats]:
 
 
 def _fitted(camera: Camera, model: Model, affinity: Affinity, terms: Sequence[str]) -> Conversion:
-    from scipy.optimize import least_squares
-
     size = np.array(camera.size_px)
     measured, rays = _grid(camera)
     index = [0, 1, 2, *(PARAMETERS.index(name) for name in terms)]
@@ -163,12 +161,36 @@ def _fitted(camera: Camera, model: Model, affinity: Affinity, terms: Sequence[st
             return np.ravel(undistorted(guess, measured) - guess.values[0] * rays)
         return np.nan_to_num(np.ravel(distorted(guess, guess.values[0] * rays) - measured), nan=radius)
 
-    # Coefficients of a lens of quotients do nearly the same: Levenberg and Marquardt find the least.
-    minimum = least_squares(
-        miss, np.zeros(len(index)), method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac"
-    )
-    result = filled(minimum.x)
+    result = filled(_least(miss, np.zeros(len(index))))
     return Conversion(result, *apart_px(camera, result))
+
+
+def _least(miss: Callable[[Floats], Floats], unknown: Floats) -> Floats:
+    """Unknowns of least squares of what they miss (Levenberg 1944, Marquardt 1963), from those given.
+
+    Coefficients of a lens of quotients do nearly the same: steps are damped in units of what each does.
+    """
+    # Differences; damping at first and at most; share of the sum by which steps still pay.
+    apart, damping, hopeless, pays, most = 1e-7, 1e-6, 1e6, 1e-9, 200
+    missed = miss(unknown)
+    for _ in range(most):
+        beside = [miss(unknown + side) for side in apart * np.eye(len(unknown))]
+        slope = (np.column_stack(beside) - missed[:, None]) / apart
+        size = np.maximum(np.linalg.norm(slope, axis=0), np.finfo(np.float64).tiny)
+        slope /= size
+        normal, right, falls = slope.T @ slope, slope.T @ missed, 0.0
+        while not falls > 0.0 and damping < hopeless:
+            step = np.linalg.solve(normal + damping * np.eye(len(unknown)), right) / size
+            trial = unknown - step
+            there = miss(trial)
+            falls = float(missed @ missed - there @ there)
+            damping *= 0.1 if falls > 0.0 else 10.0
+        if not falls > 0.0:
+            break
+        before, unknown, missed = float(missed @ missed), trial, there
+        if falls <= pays * before:
+            break
+    return unknown
 
 
 def require_no_skew(camera: Camera, program: str) -> None:

@@ -1,5 +1,6 @@
 """Adjusting a block of tie points robustly: gross errors taken out, sigmas estimated from the residuals."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -10,6 +11,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.readout import READOUT, rolls_whatever_the_lens, with_readouts
 from photocal.adjustment.shake import with_shake
 from photocal.adjustment.solution import Solution
+from photocal.adjustment.solver import CONVERGED
 from photocal.adjustment.start.model import UNLIKE, robust_adjustment
 from photocal.adjustment.state import State, start_state
 from photocal.base.arrays import Flags, Floats, Integers
@@ -35,6 +37,8 @@ from photocal.measurement.tracks import Tracks, of_images
 
 # A round takes out a third or less of what the one before has: after this share no later one would show.
 _ROUNDS, FEW_LEFT = 8, 1e-4
+# Squared distance to the minimum, in standard deviations, that may be left of a round.
+_ENOUGH = 1e-6
 # Three rays give a pose that nothing checks.
 FEWEST_RAYS = 6
 Solved = tuple[Block, NetworkOfBlock, Solution]
@@ -72,19 +76,31 @@ class AdjustedTies:
 
 @dataclass(frozen=True)
 class _Ties:
-    """What is being adjusted; images lose their hold, points and rays fall out."""
+    """What is being adjusted; images lose their hold, points and rays fall out.
+
+    places (tracks, 3): of the points as they were adjusted last, in the block's coordinates; NaN for others.
+    """
 
     start: Block
     poses: Floats
     tracks: Tracks
     sigma: Floats
+    places: Floats
     left_out: tuple[dict[str, str], ...] = ()
 
     def some(self, rays: Flags) -> Self:
         """Keep some of the rays, and of those the points with two of them."""
-        left = np.bincount(self.tracks.track[rays], minlength=self.tracks.count)
-        used = rays & (left >= 2)[self.tracks.track]
-        return replace(self, tracks=self.tracks.some(rays), sigma=self.sigma[used])
+        stay = np.bincount(self.tracks.track[rays], minlength=self.tracks.count) >= 2
+        used = rays & stay[self.tracks.track]
+        return replace(self, tracks=self.tracks.some(rays), sigma=self.sigma[used], places=self.places[stay])
+
+    def adjusted(self, start: Block, assembly: NetworkOfBlock, solution: Solution) -> Self:
+        """Images and points as an adjustment has placed them."""
+        places = np.full((self.tracks.count, 3), np.nan)
+        first = len(start.points.names)
+        tie = assembly.points >= first
+        places[assembly.points[tie] - first] = assembly.frame.to_given(solution.points[tie])
+        return replace(self, start=start, poses=given_exposures(assembly, solution)[0], places=places)
 
     def held(self) -> tuple[Self, Block]:
         """Points that their rays determine, images that enough of them hold, and both as a block.
@@ -94,7 +110,8 @@ class _Ties:
         ties = self
         while True:
             images = replace(ties.start.images, values=ties.poses)
-            values = place(replace(ties.start, images=images), ties.tracks)
+            # As they were adjusted last, the next adjustment begins near its end.
+            values = place(replace(ties.start, images=images), ties.tracks, known=ties.places)
             known = np.asarray(np.isfinite(values).all(axis=1))
             if not known.all():
                 ties, values = ties.some(known[ties.tracks.track]), values[known]
@@ -132,12 +149,16 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks, cache: Path | None 
 
     cache: folder where the result is kept, for blocks that are adjusted again: those without marks.
     """
-    return made_once(cache, AdjustedTies, (start, poses, tracks), lambda: _adjusted(start, poses, tracks))
+    # Patches are cut as the kept ones orient the images: what is left there would change which points match.
+    near = _ENOUGH if cache is None else CONVERGED
+    return made_once(
+        cache, AdjustedTies, (start, poses, tracks), lambda: _adjusted(start, poses, tracks, near)
+    )
 
 
-def _adjusted(start: Block, poses: Floats, tracks: Tracks) -> AdjustedTies:
+def _adjusted(start: Block, poses: Floats, tracks: Tracks, near: float) -> AdjustedTies:
     total, given = len(tracks.track), start.cameras
-    ties = _fitting_ties(start, poses, tracks)
+    ties = _fitting_ties(start, poses, tracks, near)
     # Readouts that the network did not bear while rays still fell out are tested once more.
     ties, block = replace(ties, start=_opened(ties.start, given)).held()
     ties, block, solved = _where_rays_meet(ties, block, held=False)
@@ -160,21 +181,27 @@ def _adjusted(start: Block, poses: Floats, tracks: Tracks) -> AdjustedTies:
     return AdjustedTies(block, start, ties.tracks, values, assembly, solution, rejected, ties.left_out)
 
 
-def _fitting_ties(start: Block, poses: Floats, tracks: Tracks) -> _Ties:
-    """The rays that fit, with their sigmas, and the block as they leave it."""
-    ties, block = _Ties(start, poses, tracks, np.ones(len(tracks.track))).held()
+def _fitting_ties(start: Block, poses: Floats, tracks: Tracks, near: float) -> _Ties:
+    """The rays that fit, with their sigmas, and the block as they leave it.
+
+    near: squared distance to its minimum that a round may leave, see `adjust`; where it may leave some, the
+        next one begins at the points of the last.
+    """
+    ties, block = _Ties(start, poses, tracks, np.ones(len(tracks.track)), _nowhere(tracks)).held()
     as_oriented = replace(block, images=replace(block.images, values=ties.poses))
     ties, block = ties.some(fitting(as_oriented)[len(ties.start.observations.image) :]).held()
     for round_ in range(_ROUNDS):
         # Gross errors first: they must not go into the camera.
         try:
-            start, assembly, solution = _solved(ties.start, block, ties.poses, held=round_ == 0)
+            start, assembly, solution = _solved(ties.start, block, ties.poses, held=round_ == 0, near=near)
         except (IllPosedError, NotConvergedError) as refusal:
             # Of a datum that positions hold loosely few gross errors make a valley without an end.
             if not _few_apart(refusal, block):
                 ties, block = _robustly(ties, block).held()
             ties, block, (start, assembly, solution) = _where_rays_meet(ties, block, held=round_ == 0)
-        ties = replace(ties, start=start, poses=given_exposures(assembly, solution)[0])
+        ties = ties.adjusted(start, assembly, solution)
+        if near == CONVERGED:
+            ties = replace(ties, places=_nowhere(ties.tracks))
         size, redundancy = by_ray(assembly, solution)
         tie_rays = slice(len(start.observations.image), None)
         sigma = ray_sigmas(ties.tracks.scale, ties.tracks.image, size[tie_rays], redundancy[tie_rays])
@@ -212,26 +239,29 @@ def _kept(start: Block, poses: Floats) -> Images:
     return replace(images, values=np.where(np.isfinite(images.sigma), images.values, poses))
 
 
-def _solved(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
+def _solved(start: Block, block: Block, poses: Floats, *, held: bool, near: float = CONVERGED) -> Solved:
     """Adjust, and give the cameras their new values; where the block does not bear them they are held."""
     try:
-        return _solved_with(start, block, poses, _held(start.cameras) if held else start.cameras)
+        return _solved_with(start, block, poses, _held(start.cameras) if held else start.cameras, near)
     except (IllPosedError, NotConvergedError) as refusal:
         # These points go first.
         if _few_apart(refusal, block):
             raise
         # A readout, and how each image moves in it, is what few images bear least.
         if any(camera.rolling for camera in start.cameras):
-            return _solved(replace(start, cameras=without_readouts(start.cameras)), block, poses, held=held)
+            plain = replace(start, cameras=without_readouts(start.cameras))
+            return _solved(plain, block, poses, held=held, near=near)
         if not any(camera.estimated.any() for camera in start.cameras):
             raise
         start = start if held else replace(start, cameras=_held(start.cameras))
-        return _solved_with(start, block, poses, _held(start.cameras))
+        return _solved_with(start, block, poses, _held(start.cameras), near)
 
 
-def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camera, ...]) -> Solved:
+def _solved_with(
+    start: Block, block: Block, poses: Floats, cameras: tuple[Camera, ...], near: float
+) -> Solved:
     assembly, state = assembled(replace(block, cameras=cameras), poses)
-    solution = adjust(assembly.network, state=state)
+    solution = adjust(assembly.network, state=state, near=near)
     # A rolling shutter looks like gross errors; who holds the lens cannot tell it.
     asked = any(camera.shutter == "unknown" and camera.estimated.any() for camera in cameras)
     if asked and rolls_whatever_the_lens(assembly.network, solution):
@@ -313,7 +343,7 @@ def assembled(block: Block, poses: Floats) -> tuple[NetworkOfBlock, State]:
 def _where_rays_meet(ties: _Ties, block: Block, *, held: bool) -> tuple[_Ties, Block, Solved]:
     """Adjust at last, without the tie points whose rays turn out not to meet."""
     # Few of them are wrong themselves; when many do not meet, positions or control may keep them apart.
-    solved = _solved
+    solved: Callable[..., Solved] = _solved
     while True:
         try:
             return ties, block, solved(ties.start, block, ties.poses, held=held)
@@ -360,7 +390,12 @@ def _robustly(ties: _Ties, block: Block) -> _Ties:
     poses = np.hstack([angles_from_matrix(state.rotation), state.centre])
     good = fit <= UNLIKE * np.median(fit)
     ties = ties.some(good[len(ties.start.observations.image) :])
-    return replace(ties, poses=given_poses(assembly.frame, poses))
+    return replace(ties, poses=given_poses(assembly.frame, poses), places=_nowhere(ties.tracks))
+
+
+def _nowhere(tracks: Tracks) -> Floats:
+    """Places of points of which none is known."""
+    return np.full((tracks.count, 3), np.nan)
 
 
 def _held(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:

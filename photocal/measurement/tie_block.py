@@ -119,11 +119,19 @@ def marked_control(block: Block) -> Integers:
     return np.unique(seen[block.points.of_role("control")[seen]])
 
 
-def place(block: Block, tracks: Tracks, least_spread: float = LEAST_SPREAD) -> Floats:
-    """Intersect the rays of tracks, (tracks.count, 3); NaN where they do not meet ahead, or spread."""
+def place(
+    block: Block, tracks: Tracks, least_spread: float = LEAST_SPREAD, known: Floats | None = None
+) -> Floats:
+    """Intersect the rays of tracks, (tracks.count, 3); NaN where they do not meet ahead, or spread.
+
+    known (tracks.count, 3): where they meet, as far as that is known already; NaN elsewhere.
+    """
     frame = block_frame(block)
     views = views_of(block, frame)
-    points = intersected(views, tracks)
+    points = np.full((tracks.count, 3), np.nan) if known is None else frame.to_local(known)
+    met: Flags = np.asarray(np.isfinite(points).all(axis=1))
+    if not met.all():
+        points = np.where(met[:, None], points, intersected(views, tracks))
     away = points[tracks.track] - views.station[tracks.image]
     ahead = np.einsum("ni,ni->n", views.rotation[tracks.image, 2], away) < 0.0
     points[tracks.track[~ahead]] = np.nan

@@ -100,7 +100,7 @@ def ground_through(images: OrientedImages, points: Floats) -> GroundCells:
 
     raises IllPosedError: for fewer than three points.
     """
-    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+    from scipy.spatial import cKDTree
 
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 3:
@@ -110,10 +110,24 @@ def ground_through(images: OrientedImages, points: Floats) -> GroundCells:
     ground = level_ground(images, float(np.median(points[:, 2])))
     plane = ground.places[:, :2]
     between = _in_hull(plane, points[:, :2])
-    ground.places[:, 2] = NearestNDInterpolator(points[:, :2], points[:, 2])(plane)
-    inner = LinearNDInterpolator(points[:, :2], points[:, 2])(plane[between])
+    ground.places[:, 2] = points[cKDTree(points[:, :2]).query(plane)[1], 2]
+    inner = _between(points, plane[between])
     ground.places[between, 2] = np.where(np.isfinite(inner), inner, ground.places[between, 2])
     return ground
+
+
+def _between(points: Floats, places: Floats) -> Floats:
+    """Heights at places, linear in the triangles of Delaunay between points; NaN beyond them."""
+    from scipy.spatial import Delaunay
+
+    # scipy.interpolate does the same, and takes longer to be loaded.
+    triangles = Delaunay(points[:, :2])
+    own = triangles.find_simplex(places)
+    way, origin = triangles.transform[own, :2], triangles.transform[own, 2]
+    share = np.einsum("nij,nj->ni", way, places - origin)
+    share = np.column_stack([share, 1.0 - share.sum(axis=1)])
+    height = np.einsum("ni,ni->n", share, points[triangles.simplices[own], 2])
+    return np.where(own >= 0, height, np.nan)
 
 
 def _in_hull(places: Floats, points: Floats) -> Flags:
@@ -183,9 +197,11 @@ def figures_of(block: FlownBlock, **of_images: Floats) -> dict[str, Any]:
 
 def gaps(block: FlownBlock, fewest: int = FEWEST_RAYS) -> list[tuple[float, float, int]]:
     """List places below the flight that too few images show: middle (m) and cells, largest first."""
+    thin = (block.rays < fewest) & block.inside
+    if not thin.any():
+        return []
     from scipy import ndimage
 
-    thin = (block.rays < fewest) & block.inside
     marked, count = ndimage.label(thin.reshape(-1, block.ground.columns))
     holes = []
     for number in range(1, count + 1):

@@ -10,8 +10,7 @@ from photocal.base.files import write_json
 from photocal.base.progress import Progress
 from photocal.block.project import Project
 from photocal.navigation.common_errors import CommonErrors
-from photocal.navigation.ppk_result import FIGURES as PPK_FIGURES
-from photocal.navigation.ppk_result import PpkFigures
+from photocal.run.ppk import FIGURES as PPK_FIGURES
 from photocal.run.ppk import TRAJECTORY, ppk_stage
 from photocal.run.stage import Stage, pictures_of
 
@@ -101,6 +100,7 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
 def _placed(project: Project, ppk: Path | None) -> "tuple[ExposureRun, CameraOnBody]":
     """Exposures by the trajectory in a folder of PPK, or without one."""
     from photocal.navigation.exposure_run import choices_of_project, place_exposures
+    from photocal.navigation.ppk_result import PpkFigures
     from photocal.navigation.trajectory import Trajectory
 
     choices = choices_of_project(project)

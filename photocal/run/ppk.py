@@ -6,7 +6,8 @@ from photocal.base.progress import Progress
 from photocal.block.project import Project
 from photocal.run.stage import Stage
 
-TRAJECTORY = "trajectory.parquet"
+# The second as `photocal.navigation.ppk_result` names it, which reads no log only to be asked for a name.
+TRAJECTORY, FIGURES = "trajectory.parquet", "ppk.json"
 
 
 def ppk_stage(project: Project) -> Stage:

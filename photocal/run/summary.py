@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from photocal.analysis.accuracy.classes import condition
 from photocal.analysis.shutters import shutter_findings
@@ -30,8 +30,6 @@ from photocal.geometry.camera import PARAMETERS
 from photocal.hypotheses.faults import FAULTS, fault, searched
 from photocal.hypotheses.table import Fault
 from photocal.measurement.maker_camera import tag_finding
-from photocal.navigation.ppk_result import FIGURES as PPK
-from photocal.navigation.ppk_result import PpkFigures
 from photocal.report.certificate import judged, tested
 from photocal.report.stored_analysis import AnalysedRun, read_run
 from photocal.run.block import FINDINGS as BLOCK
@@ -39,7 +37,11 @@ from photocal.run.control import FIGURES as CONTROL
 from photocal.run.exposures import FIGURES as EXPOSED
 from photocal.run.exposures import ExposureFigures
 from photocal.run.left_out import settled
+from photocal.run.ppk import FIGURES as PPK
 from photocal.run.stage import StageResult, is_stage
+
+if TYPE_CHECKING:
+    from photocal.navigation.ppk_result import PpkFigures
 
 # With two thirds of the positions fixed, it is they that carry what is found.
 _JUDGED_FROM_PERCENT = 200.0 / 3.0
@@ -66,8 +68,18 @@ def gather(work: Path, stages: Container[str] | None = None) -> tuple[Finding, .
         add_new(listed, found, stage)
         # A check looked for causes, rather than had no hold for them.
         sought |= stage == "georeferencing" and bool((read_json(path) or {}).get("systematic_errors"))
-    ppk = work / "ppk" / PPK
-    return causes_first(settled(listed), PpkFigures.read(ppk).fixed_percent if ppk.is_file() else 100.0)
+    ppk = _ppk(work)
+    return causes_first(settled(listed), 100.0 if ppk is None else ppk.fixed_percent)
+
+
+def _ppk(work: Path) -> "PpkFigures | None":
+    """Figures of the PPK, where there is one."""
+    path = work / "ppk" / PPK
+    if not path.is_file():
+        return None
+    from photocal.navigation.ppk_result import PpkFigures
+
+    return PpkFigures.read(path)
 
 
 def add_new(listed: list[Finding], findings: Iterable[Finding], stage: str) -> None:
@@ -248,8 +260,8 @@ def summary(
         """Read the figures of a stage that is done."""
         return read_json(work / stage / file) if stage in done else None
 
-    flown, seen = work / "ppk" / PPK, work / "exposures" / EXPOSED
-    ppk = PpkFigures.read(flown).record if "ppk" in done and flown.is_file() else None
+    positions, seen = _ppk(work) if "ppk" in done else None, work / "exposures" / EXPOSED
+    ppk = None if positions is None else positions.record
     exposures = ExposureFigures.read(seen) if "exposures" in done and seen.is_file() else None
     check, control = figures("georeferencing", "check.json"), figures("control", CONTROL)
     assessed = check and (check["methods"].get("integrated") or {}).get("assessment")

@@ -144,8 +144,6 @@ def circular_error(second_moments_m2: Floats, probability: float) -> float:
     Exact for any ellipse: P(r) is the integral over all directions of the radial part, which has a
     closed form, so one dimension is left to sum and one equation to solve.
     """
-    from scipy.optimize import brentq
-
     # Directions over half a turn; the integrand is smooth and periodic, so the rectangle rule converges
     # exponentially and this many suffice for axis ratios down to about 1:100.
     directions = 2048
@@ -164,8 +162,12 @@ def circular_error(second_moments_m2: Floats, probability: float) -> float:
         held = np.mean((1.0 - np.exp(-0.5 * radius**2 * inverse)) / inverse) * math.sqrt(large / small)
         return float(held) - probability
 
-    upper = math.sqrt(float(special.chdtri(2, 1.0 - probability)))
-    return math.sqrt(large) * float(brentq(missing, 0.0, upper * (1.0 + 1e-9), xtol=1e-12))
+    # Halved until nothing is left: scipy.optimize would take longer to be loaded.
+    low, high = 0.0, math.sqrt(float(special.chdtri(2, 1.0 - probability))) * (1.0 + 1e-9)
+    while high - low > 1e-12:
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if missing(middle) < 0.0 else (low, middle)
+    return math.sqrt(large) * (low + high) / 2.0
 
 
 @dataclass(frozen=True)
