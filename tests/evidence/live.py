@@ -2,8 +2,8 @@
 
 Writes `docs/evidence/live.md`. Pictures of a folder come one every two seconds into the folder of a project,
 `photocal debrief --live` follows it, and a recorder of its own takes numbered frames on four links.
-Every frame is looked for in the log; the lag of a picture runs from its coming to rest to its verdict. Processor
-and memory are those of the debrief with all processes that it begins, from its start to its last verdict.
+Every frame is looked for in the log; the lag of a picture runs from its coming to rest to its verdict.
+Processor and memory are those of the debrief with all processes that it begins, to its last verdict.
 
 Run: `python -m tests.evidence.live FOLDER...`, each with the pictures of a flight in their order.
 """
@@ -59,10 +59,10 @@ def main() -> None:
     lines = [
         "# The debrief in flight during a recording",
         "",
-        f"Pictures arrived one every {EVERY_S:g} s in a folder that `photocal debrief --live` followed, on two cores.",
-        "At the same time `acquire record` took 100 frames of 196 bytes a second on each of four links. Lag of a",
-        "picture: from the moment its file stops growing to its verdict. Processor and memory: of the debrief and",
-        "all that it starts, from its start to its last verdict.",
+        f"Pictures arrived one every {EVERY_S:g} s in a folder that `photocal debrief --live` followed, on",
+        "two cores. At the same time `acquire record` took 100 frames of 196 bytes a second on each of",
+        "four links. Lag of a picture: from the moment its file stops growing to its verdict. Processor",
+        "and memory: of the debrief and all that it starts, from its start to its last verdict.",
         "",
         "|" + " |" * (len(columns) + 1),
         "|" + "---|" * (len(columns) + 1),

@@ -23,7 +23,7 @@ _CROSS, _HIGHER = 0.7, 0.1
 class Determined:
     """The principal distance of a camera in flight, beside what is wanted.
 
-    c, sigma: in `unit`, None where rays do not tell c; sigma is larger where residuals are larger than stated.
+    c, sigma: in `unit`, None where rays do not tell c; sigma grows with residuals larger than stated.
     wanted: standard deviation that is wanted, and where it comes from.
     lacks: what determines it better; empty where it is determined.
     """

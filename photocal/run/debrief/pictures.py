@@ -164,7 +164,7 @@ _CHANGED_SIGMAS, _CHANGED_SHARE = 4.0, 5e-4
 _LOOSE = 10.0
 # What else c depends on that a first calibration does not tell apart from nothing: pixels that are not
 # square, or a shutter that rolls without being noticed (10 ms at 8 m/s over 80 m), and a lens out of centre.
-_ALSO = (("B1", 1e-3), ("P1", np.inf), ("P2", np.inf))
+ALSO = (("B1", 1e-3), ("P1", np.inf), ("P2", np.inf))
 # Pictures that each one is matched with.
 _PARTNERS = 12
 
@@ -234,8 +234,8 @@ def orient_quickly(
         above = float(np.median(state.exposures[:, 5]) - np.median(state.points[:, 2]))
         height = origin[2] + float(np.median(adjusted.values[:, 5])) - above
         ground = height if adjusted.start.datum != "free" else np.nan
-        freed = with_released_c(adjusted, 1.0, _ALSO)
-        loosely = with_released_c(adjusted, _LOOSE, _ALSO)
+        freed = with_released_c(adjusted, 1.0, ALSO)
+        loosely = with_released_c(adjusted, _LOOSE, ALSO)
         cameras = camera_figures(adjusted, told_by_rays(freed, loosely))
         joined = len(adjusted.start.images.names)
         return Quick(joined, first.left_out, cameras, ground, adjusted, origin)
