@@ -188,7 +188,7 @@ def debrief(
     With --live it watches the folder that a tethered camera or a picture link writes to. It then uses the
     positions stated in the pictures and does not read the flight log. When c is as well determined as
     `[calibration]` of the project wants, it says that you may land; after Ctrl-C it judges all pictures
-    together once more. Without --workers it looks at one picture at a time.
+    together once more. Without --workers it examines one picture at a time.
 
     Example: `photocal debrief project.toml --since last/calibration`
     """
@@ -211,7 +211,7 @@ def debrief(
             for line in (finding_text(so_far.verdict, say), *calibration_text(so_far, say)):
                 typer.echo(printable(line), err=True)
 
-        # One looks at pictures faster than they come; each takes memory.
+        # One examines pictures faster than they come; each takes memory.
         made = follow(known, workers or 1, stopped_by_signals(), report, last)
     else:
         made = judged(known, workers or os.cpu_count() or 1, progress, last)

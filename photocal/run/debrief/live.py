@@ -94,7 +94,7 @@ def follow(
     still being recorded. What all say together is judged in the background, from where it was judged last,
     when there are a third more pictures or no more come; the last verdict, after `stop`, is that of all.
 
-    workers: pictures that are looked at side by side; each takes memory.
+    workers: pictures that are examined at the same time; each takes memory.
     report: takes each verdict.
     last: of the last certificate, to hold the first calibration against.
     """
@@ -108,7 +108,7 @@ def follow(
         run: ExposureRun | None = None
         made, changed, after_stop = _so_far({}, run, together, 0, project), True, 0
         while True:
-            # What came before it was to stop is still looked at, once it is at rest, and judged with all.
+            # What came before it was to stop is still examined, once it is at rest, and judged with all.
             after_stop += stop.is_set()
             ending, all_come = after_stop > 0, after_stop > _LAST_LOOKS
             for path, since in folder.at_rest():
