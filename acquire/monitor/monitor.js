@@ -57,6 +57,8 @@ function debrief(written) {
   box.hidden = !own.verdict;
   box.querySelector("p").textContent = own.verdict ?? "";
   const lines = (texts) => (texts ?? []).map((text) => make("li", "", text));
+  const calibration = (own.calibration ?? []).map(([text, good]) => make("li", good ? "good" : "waiting", text));
+  box.querySelector(".calibration").replaceChildren(...calibration);
   box.querySelector(".findings").replaceChildren(...lines(own.findings));
   box.querySelector(".summary").replaceChildren(...lines(own.summary?.map(told)));
 }

@@ -92,7 +92,9 @@ class Latest:
                 "verdict": content["verdict"]["text"],
                 "summary": content.get("summary", []),
                 "findings": [row["text"] for row in content["findings"]],
+                "calibration": [],
             }
+            good = [not camera["lacks"] for camera in content.get("determined", [])]
             told = [row["severity"] not in _PASSED for row in content["findings"]]
             come = list[str]()
             reported = sum(counted.feedbacks for counted in self.state.exposures.values())
@@ -101,6 +103,7 @@ class Latest:
             return {
                 language: {
                     "verdict": said["verdict"],
+                    "calibration": [*zip(said.get("calibration", []), good, strict=False)],
                     "summary": [*come, *said["summary"]],
                     "findings": [*compress(said["findings"], told)],
                 }

@@ -262,6 +262,19 @@ class Measurements(Table):
         return self
 
 
+class CalibrationKeys(Table):
+    """`[calibration]`: standard deviation of the principal distance that the flight is to reach."""
+
+    c_sigma_px: PositiveFloat | None = None
+    c_sigma_percent: PositiveFloat | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if self.c_sigma_px is not None and self.c_sigma_percent is not None:
+            raise ValueError("give either c_sigma_px or c_sigma_percent")
+        return self
+
+
 class JudgementKeys(Table):
     """`[judgement]`: what the check points are judged against."""
 
@@ -319,6 +332,7 @@ class Contents(Table):
     control: Control | None = None
     measurements: Measurements | None = None
     leave_out: tuple[LeaveOutKeys, ...] = ()
+    calibration: CalibrationKeys = CalibrationKeys()
     judgement: JudgementKeys = JudgementKeys()
     certificate: CertificateKeys = CertificateKeys()
 

@@ -189,7 +189,9 @@ def debrief(
     written as debrief.json into the project's work folder: `acquire monitor --page --debrief` shows it.
 
     With --live it watches the folder that a tethered camera or a picture link writes to. It then uses the
-    positions stated in the pictures and does not read the flight log.
+    positions stated in the pictures and does not read the flight log. When c is as well determined as
+    `[calibration]` of the project wants, it says that you may land; after Ctrl-C it judges all pictures
+    together once more. Without --workers it examines one picture at a time.
 
     Example: `photocal debrief project.toml --since last/calibration`
     """
@@ -197,23 +199,25 @@ def debrief(
 
     from photocal.block.project import read_project
     from photocal.findings.texts import catalogue, finding_text, spoken
+    from photocal.run.debrief.verdict import calibration_text, debrief_json, debrief_text
     from photocal.run.debrief.verdict import debrief as judged
-    from photocal.run.debrief.verdict import debrief_json, debrief_text
 
     file = project / "project.toml" if project.is_dir() else project
     say, last = catalogue(spoken(language)), () if since is None else _cameras(since)
-    known, crew = read_project(file), workers or os.cpu_count() or 1
+    known = read_project(file)
     if live:
         from photocal.base.operating_system import stopped_by_signals
         from photocal.run.debrief.live import follow
 
         def report(so_far: "Debrief") -> None:
             """Say the verdict so far, while the flight is still being read."""
-            typer.echo(printable(finding_text(so_far.verdict, say)), err=True)
+            for line in (finding_text(so_far.verdict, say), *calibration_text(so_far, say)):
+                typer.echo(printable(line), err=True)
 
-        made = follow(known, crew, stopped_by_signals(), report, last)
+        # One examines pictures faster than they come; each takes memory.
+        made = follow(known, workers or 1, stopped_by_signals(), report, last)
     else:
-        made = judged(known, crew, progress, last)
+        made = judged(known, workers or os.cpu_count() or 1, progress, last)
     answer(as_json, lambda: debrief_json(made), lambda: debrief_text(made, say))
 
 

@@ -1,5 +1,6 @@
 """Answers to the step Record: the recording beneath the folder, shown by the monitor's own page."""
 
+import json
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -82,11 +83,23 @@ def state(desk: Desk, watch: Watch) -> dict[str, Any]:
         "file": None if newest is None else desk.named(newest),
         "plan": None if plan is None else desk.named(plan),
         "configurations": [desk.named(path) for path in settings],
+        "calibration": _calibration(desk.folder / "work" / "debrief.json", desk.language),
         "line": desk.line(shown, "acquire"),
         "begin": [
             desk.line([step, path], "acquire") for path in settings[:1] for step in ("check", "record")
         ],
     }
+
+
+def _calibration(file: Path, language: str) -> list[tuple[str, bool]]:
+    """What a debrief in flight says of each camera, and whether c is as well determined as is wanted."""
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        lines = content["said"][language]["calibration"] if "live" in content else []
+        cameras = content["determined"] if lines else []
+        return [(str(line), not camera["lacks"]) for line, camera in zip(lines, cameras, strict=True)]
+    except (OSError, ValueError, LookupError, TypeError):
+        return []
 
 
 def _files(folder: Path, depth: int) -> Iterator[Path]:

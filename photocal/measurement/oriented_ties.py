@@ -28,7 +28,7 @@ from photocal.measurement.tie_block import (
     reprojection_errors,
     with_ties,
 )
-from photocal.measurement.tie_orientation import Placed, oriented, position_sigmas, reweighted
+from photocal.measurement.tie_orientation import Placed, continued, oriented, position_sigmas, reweighted
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
 
 # Cells along the longer side of an image; points in each that orient it at first, tracks that are matched
@@ -77,15 +77,20 @@ class UnorientedError(IllPosedError):
         self.block = block
 
 
-def first_orientation(marked: Block, tracks: Tracks, cache: Path | None = None) -> Oriented:
+def first_orientation(
+    marked: Block, tracks: Tracks, cache: Path | None = None, before: AdjustedTies | None = None
+) -> Oriented:
     """Orient a block by tracks of features, then bring in what of its control fits.
 
     cache: folder where what depends on the tracks alone is kept.
+    before: an orientation of some of its images in the same system, from where it is continued.
     """
-    return _with_marks(*_by_rays(marked, tracks, cache), marked)
+    return _with_marks(*_by_rays(marked, tracks, cache, before), marked)
 
 
-def _by_rays(marked: Block, tracks: Tracks, cache: Path | None) -> tuple[AdjustedTies, list[Finding]]:
+def _by_rays(
+    marked: Block, tracks: Tracks, cache: Path | None, before: AdjustedTies | None = None
+) -> tuple[AdjustedTies, list[Finding]]:
     """Orient a block by tracks of features and by positions, as if it had no marks."""
     start = replace(marked, observations=marked.observations.rows(np.zeros(0, dtype=np.int64)))
     if len(marked.observations.image) and np.isfinite(marked.images.values[:, 3:]).all(axis=1).any():
@@ -94,7 +99,8 @@ def _by_rays(marked: Block, tracks: Tracks, cache: Path | None) -> tuple[Adjuste
     start, tracks, left_out = _connected(start, tracks)
     sizes = _sizes(start)
     strong = _strong(tracks, sizes, FIRST_IN_A_CELL)
-    placed, poses, reasons, found = made_once(
+    known = None if before is None else continued(start, strong, before.start, before.values)
+    placed, poses, reasons, found = known or made_once(
         cache, Placed, (start, strong), lambda: oriented(start, strong, cache)
     )
     named = zip(start.images.names, reasons, strict=True)

@@ -117,10 +117,15 @@ class UnbelievableListError(InputMalformedError):
 _Place = tuple[float, ...]
 
 
-def local_places(facts: Sequence[ImageFacts]) -> tuple[Floats, tuple[float, float, float]]:
+Origin = tuple[float, float, float]
+
+
+def local_places(facts: Sequence[ImageFacts], at: Origin | None = None) -> tuple[Floats, Origin]:
     """Projection centres in a topocentric frame (east, north, up) at their median.
 
     A picture from elsewhere in the folder does not tilt it.
+
+    at: latitude, longitude, degrees, and height, m, of its origin, where that is given.
     """
     known = np.array([f.has_position for f in facts])
     geographic = np.array([[f.latitude_deg, f.longitude_deg, f.altitude_m] for f in facts])
@@ -128,7 +133,7 @@ def local_places(facts: Sequence[ImageFacts]) -> tuple[Floats, tuple[float, floa
         return np.full((len(facts), 3), np.nan), (float("nan"),) * 3
     latitude, longitude, height = np.median(geographic[known], axis=0)
     # Rounded, so that the origin can be written and read without loss.
-    origin = (round(float(latitude), 6), round(float(longitude), 6), float(round(float(height))))
+    origin = at or (round(float(latitude), 6), round(float(longitude), 6), float(round(float(height))))
     places = np.full((len(facts), 3), np.nan)
     places[known] = (geocentric(*geographic[known].T) - geocentric(*origin)) @ enu_axes(*origin[:2]).T
     return places, origin

@@ -1,6 +1,6 @@
 """Adjusting a block of tie points robustly: gross errors taken out, sigmas estimated from the residuals."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -42,6 +42,8 @@ _ENOUGH = 1e-6
 # Three rays give a pose that nothing checks.
 FEWEST_RAYS = 6
 Solved = tuple[Block, NetworkOfBlock, Solution]
+# A parameter of a camera, and the sigma with which it is observed, in its unit.
+Also = tuple[str, float]
 
 
 @dataclass(frozen=True)
@@ -469,23 +471,34 @@ def camera_figures(adjusted: AdjustedTies, freed: Solution | None) -> list[dict[
     return figures
 
 
-def with_released_c(adjusted: AdjustedTies, loosely: float = 1.0) -> Solution | None:
+def with_released_c(
+    adjusted: AdjustedTies, loosely: float = 1.0, also: Sequence[Also] = ()
+) -> Solution | None:
     """Adjust with free principal distances; None where the block does not determine them.
 
     loosely: factor of the sigmas of positions and angles.
+    also: parameters that are freed with c where a lens is estimated, each observed as it is with a sigma.
     """
     # Where nobody knows the lens, nobody knows its principal point: held at the middle it takes c along, by
     # ten times what c would then be said to be uncertain by.
     network = adjusted.assembly.network
-    cameras = tuple(
-        replace(camera, estimated=camera.estimated | among("c", *(("x0", "y0") if camera.free else ())))
-        for camera in network.cameras
-    )
+    cameras = tuple(_released_lens(camera, also) for camera in network.cameras)
     exposures = replace(network.exposures, sigma=loosely * network.exposures.sigma)
     try:
         return adjust(replace(network, cameras=cameras, exposures=exposures))
     except PhotocalError:
         return None
+
+
+def _released_lens(camera: Camera, also: Sequence[Also]) -> Camera:
+    if not camera.free:
+        return replace(camera, estimated=camera.estimated | among("c"))
+    prior = camera.prior_sigma.copy()
+    for name, sigma in also:
+        held = among(name) & ~camera.estimated
+        prior[held] = np.minimum(prior[held], sigma)
+    free = among("c", "x0", "y0", *(name for name, _ in also))
+    return replace(camera, estimated=camera.estimated | free, prior_sigma=prior)
 
 
 def told_by_rays(freed: Solution | None, loosely: Solution | None) -> Solution | None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from photocal.adjustment.network import Rays
 from photocal.adjustment.start.bearings import bearings
-from photocal.adjustment.start.model import LENS, Model, held_to_given, misfit, support
+from photocal.adjustment.start.model import LENS, Model, empty_model, grown, held_to_given, misfit, support
 from photocal.adjustment.start.values import free_models
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import IllPosedError
@@ -119,6 +119,41 @@ def oriented(block: Block, tracks: Tracks, cache: Path | None = None) -> Placed:
     if (determined or turn > 0) and block.datum == "control":
         block = replace(block, images=reweighted(block.images, poses, shifted=False))
     return block, poses, tuple(reasons), tuple(findings)
+
+
+def continued(block: Block, tracks: Tracks, before: Block, values: Floats) -> Placed | None:
+    """Orient a block from where an earlier adjustment left the images that both have.
+
+    Nothing is placed anew: what is new is resected from the points of the other images.
+
+    before: the earlier block, adjusted in the same system.
+    values (images, 6): its exterior orientations.
+    returns: as `oriented`; None where the earlier block was not placed by its positions or attitudes alone,
+        has other cameras, or does not reach all images.
+    """
+    tilted = np.isfinite(before.images.sigma[:, :3]).any() > np.isfinite(block.images.sigma[:, :3]).any()
+    same = [(camera.id, camera.estimated[0]) for camera in block.cameras]
+    if tilted or block.datum != before.datum or same != [(c.id, c.estimated[0]) for c in before.cameras]:
+        return None
+    known = dict(zip(before.images.names, values, strict=True))
+    frame, cameras = block_frame(block), before.cameras
+    block = replace(block, cameras=cameras)
+    views = views_of(block, frame)
+    tracks = replace(tracks, pixels=views.at_the_middle(tracks.image, tracks.pixels))
+    whole = with_ties(block, tracks, np.full((tracks.count, 3), np.nan), np.ones(len(tracks.track)))
+    seen = bearings(cameras, block.images.camera, len(whole.points.names), _rays(whole))
+    model = empty_model(seen, np.full((len(whole.points.names), 3), np.nan))
+    local = local_poses(frame, np.array([known.get(name, np.full(6, np.nan)) for name in block.images.names]))
+    there = np.isfinite(local).all(axis=1)
+    model.rotation[there], model.centre[there] = matrix_from_angles(local[there, :3]), local[there, 3:]
+    model = grown(model, np.ones(seen.images, dtype=np.bool_))
+    if not model.oriented.all():
+        return None
+    poses = given_poses(frame, np.hstack([angles_from_matrix(model.rotation), model.centre]))
+    block = replace(block, cameras=_cameras(cameras, model))
+    if block.datum == "control":
+        block = replace(block, images=reweighted(block.images, poses, shifted=False))
+    return block, poses, ("",) * len(poses), ()
 
 
 def _rays(block: Block) -> Rays:

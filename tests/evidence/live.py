@@ -3,8 +3,9 @@
 Writes `docs/evidence/live.md`. Pictures of a folder come one every two seconds into the folder of a project,
 `photocal debrief --live` follows it, and a recorder of its own takes numbered frames on four links.
 Every frame is looked for in the log; the lag of a picture runs from its coming to rest to its verdict.
+Processor and memory are those of the debrief with all processes that it begins, to its last verdict.
 
-Run: `python -m tests.evidence.live FOLDER`, with a folder of pictures of a flight in their order.
+Run: `python -m tests.evidence.live FOLDER...`, each with the pictures of a flight in their order.
 """
 
 from __future__ import annotations
@@ -48,21 +49,24 @@ def main() -> None:
     if len(sys.argv) < 2:
         sys.stderr.write("live: not run, it needs a folder of pictures\n")
         return
-    sent = list_images(Path(sys.argv[1]))[:MOST]
-    with tempfile.TemporaryDirectory() as name:
-        figures = study(sent, Path(name))
-    width, height = read_facts(sent[0]).size_px
+    columns = []
+    for folder in sys.argv[1:]:
+        sent = list_images(Path(folder))[:MOST]
+        width, height = read_facts(sent[0]).size_px
+        with tempfile.TemporaryDirectory() as name:
+            figures = study(sent, Path(name))
+        columns.append({"pictures": f"{len(sent)} of {width} x {height} px", **figures})
     lines = [
         "# The debrief in flight during a recording",
         "",
-        f"{len(sent)} pictures of {width} x {height} px arrived one every {EVERY_S:g} s in a folder that",
-        "`photocal debrief --live` followed, on two cores. At the same time `acquire record` took 100",
-        "frames of 196 bytes a second on each of four links. Lag of a picture: from the moment its file",
-        "stops growing to its verdict.",
+        f"Pictures arrived one every {EVERY_S:g} s in a folder that `photocal debrief --live` followed, on",
+        "two cores. At the same time `acquire record` took 100 frames of 196 bytes a second on each of",
+        "four links. Lag of a picture: from the moment its file stops growing to its verdict. Processor",
+        "and memory: of the debrief and all that it starts, from its start to its last verdict.",
         "",
-        "| | |",
-        "|---|---|",
-        *(f"| {what} | {value} |" for what, value in figures.items()),
+        "|" + " |" * (len(columns) + 1),
+        "|" + "---|" * (len(columns) + 1),
+        *("| " + " | ".join([what, *(column[what] for column in columns)]) + " |" for what in columns[0]),
         "",
         "Made by `python -m tests.evidence.live`.",
         "",
@@ -85,7 +89,7 @@ def study(sent: Sequence[Path], folder: Path) -> dict[str, str]:
     )
     environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
     command = [sys.executable, "-m", "photocal", "debrief", str(folder), "--live", "--json"]
-    file, lags, waiting = folder / "work" / "debrief.json", [], []
+    file, lags, waiting, memory = folder / "work" / "debrief.json", [], [], []
     frames: list[tuple[float, bytes]] = []
     with ExitStack() as running:
         recorder = running.enter_context(Recorder(folder / "flight.toml"))
@@ -105,6 +109,7 @@ def study(sent: Sequence[Path], folder: Path) -> dict[str, str]:
         def seen() -> dict[str, Any]:
             content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
             lags.append(float(content["live"]["lag_s"]))
+            memory.append(_memory_mib(live.pid))
             waiting.append(int(content["live"]["waiting"]))
             return content
 
@@ -118,16 +123,19 @@ def study(sent: Sequence[Path], folder: Path) -> dict[str, str]:
         until(lambda: len(seen()["pictures"]) == len(sent), "the last picture")
         behind_s = time.monotonic() - last
         until(lambda: seen()["quick"], "an orientation")
-        content = seen()
-        ended.set()
-        speaker.join()
+        joined = seen()["quick"]["joined"]
+        stopped = time.monotonic()
         live.send_signal(signal.SIGINT)
         _, status, usage = os.wait4(live.pid, 0)
+        stop_s = time.monotonic() - stopped
         assert status == 0
+        ended.set()
+        speaker.join()
+        content = json.loads(file.read_text(encoding="utf-8"))
         recorder.figures()
         kept = [set(frames_in(recorder.path, f"l{n}")) for n in range(4)]
     lost = sum(frame not in found for _, frame in frames for found in kept)
-    quick = content["quick"]["cameras"][0]["released"]
+    (camera,) = content["determined"]
     return {
         "frames sent": f"{4 * len(frames)}",
         "frames lost": f"{lost}",
@@ -135,12 +143,28 @@ def study(sent: Sequence[Path], folder: Path) -> dict[str, str]:
         "lag, worst": f"{max(lags):.1f} s",
         "most pictures waiting": f"{max(waiting)}",
         "the last picture, after it was sent": f"{behind_s:.1f} s",
-        "pictures oriented by then": f"{content['quick']['joined']}",
-        "c of these": f"{quick['c']:.1f} ± {quick['sigma']:.1f} px",
+        "pictures oriented by then": f"{joined}",
+        "from Ctrl-C to the last verdict": f"{stop_s:.1f} s",
+        "pictures oriented in it": f"{content['quick']['joined']}",
+        "c": f"{camera['c']:.1f} ± {camera['sigma']:.1f} px, wanted ± {camera['wanted']:.1f} px",
         "processor": f"{(usage.ru_utime + usage.ru_stime) / len(sent):.2f} s a picture",
-        "peak memory": f"{usage.ru_maxrss / 1024:.0f} MiB",
+        "peak memory": f"{max(usage.ru_maxrss / 1024, *memory):.0f} MiB",
         "load of the machine (1 min)": f"{os.getloadavg()[0]:.1f}",
     }
+
+
+def _memory_mib(process: int) -> float:
+    """Resident memory of a process and of those that it has begun, MiB."""
+    total = 0.0
+    for status in Path("/proc").glob("[0-9]*/status"):
+        try:
+            told = dict(line.split(":", 1) for line in status.read_text(encoding="ascii").splitlines())
+        except (OSError, ValueError):
+            # It has ended meanwhile.
+            continue
+        if process in (int(told["Pid"]), int(told["PPid"])) and "VmRSS" in told:
+            total += float(told["VmRSS"].split()[0]) / 1024
+    return total
 
 
 if __name__ == "__main__":

@@ -9,9 +9,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from photocal.adjustment.envelope import on_one_thread
 from photocal.base.errors import PhotocalError
 from photocal.base.files import output_file, write_json
 from photocal.base.operating_system import cache_folder
+from photocal.base.progress import quiet
 from photocal.block.project import Project
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import Camera
@@ -21,7 +23,7 @@ from photocal.measurement.match_images import MatchingPlan
 from photocal.navigation.exposure_run import ExposureRun, exposures_of_pictures
 from photocal.navigation.rig import CameraOnBody
 from photocal.run.debrief import verdict
-from photocal.run.debrief.pictures import QUICK, PictureQuality, look, picture_findings
+from photocal.run.debrief.pictures import QUICK, PictureQuality, Quick, look, picture_findings
 from photocal.run.debrief.verdict import Debrief, Together
 from photocal.run.output_place import check_output
 from photocal.run.stage import alone
@@ -30,6 +32,13 @@ from photocal.run.stage import alone
 _POLL_S = 0.5
 # A picture that cannot be read may still be on its way when it was written to so lately.
 _PATIENCE_S = 10.0
+# Fewer pictures are not oriented: the first ones of a flight say nothing together.
+_FEWEST = 6
+# All are oriented anew when their number has grown by this factor, or none has come for so long, s: orienting
+# all after each would take time with the square of their number.
+_GROWN, _QUIET_S = 4 / 3, 10.0
+# How often the folder is looked into after the end, until a picture that had just come is at rest.
+_LAST_LOOKS = 2
 
 _Rest = tuple[int, int]
 
@@ -82,49 +91,57 @@ def follow(
     """Judge the pictures of a project as they come, until `stop`; each is examined once.
 
     The verdict so far is written whenever it changes. Positions are those that the pictures state: the log is
-    still being recorded. What all say together is judged anew in the background, and rests as long as that
-    took, so that it never takes more than half of a core.
+    still being recorded. What all say together is judged in the background, from where it was judged last,
+    when there are a third more pictures or no more come; the last verdict, after `stop`, is that of all.
 
+    workers: pictures that are examined at the same time; each takes memory.
     report: takes each verdict.
     last: of the last certificate, to hold the first calibration against.
     """
     check_output(project)
-    # Fewer pictures are not oriented: the first ones of a flight say nothing together.
-    fewest = 6
     with alone(project.output), _gently(workers) as (lookers, judge):
         plan, folder = MatchingPlan(cache_folder(), 1, QUICK), _Folder(project.picture_folder)
-        looks, lag_s, oriented, not_before = dict[Path, PictureQuality](), 0.0, 0, 0.0
+        looks, lag_s, oriented, come = dict[Path, PictureQuality](), 0.0, 0, time.monotonic()
         pending = dict[Future[PictureQuality], tuple[Path, float]]()
-        judging: Future[tuple[Together, ExposureRun | None, float]] | None = None
+        judging: Future[tuple[Together, ExposureRun | None]] | None = None
         together: Together = ((), None, None)
         run: ExposureRun | None = None
-        made, changed = _so_far({}, run, together, 0), True
+        made, changed, after_stop = _so_far({}, run, together, 0, project), True, 0
         while True:
+            # What came before it was to stop is still examined, once it is at rest, and judged with all.
+            after_stop += stop.is_set()
+            ending, all_come = after_stop > 0, after_stop > _LAST_LOOKS
             for path, since in folder.at_rest():
                 pending[lookers.submit(look, (path, plan))] = (path, since)
+                come = time.monotonic()
             for future in [*filter(Future.done, pending)]:
                 path, since = pending.pop(future)
                 result = future.result()
-                if result.facts is None and _lately(path):
+                if result.facts is None and _lately(path) and not ending:
                     folder.taken.pop(path)
                     continue
                 looks[path], lag_s, changed = result, time.monotonic() - since, True
-            # One that was stopped while it matched pictures has no verdict.
-            if judging is not None and judging.done() and not stop.is_set():
-                together, run, took_s = judging.result()
-                judging, not_before, changed = None, time.monotonic() + took_s, True
-            enough = len(looks) >= fewest and len(looks) > oriented and time.monotonic() >= not_before
-            if judging is None and enough and not stop.is_set():
+            if judging is not None and judging.done():
+                together, run = judging.result()
+                judging, changed = None, True
+            last_ones = ending or time.monotonic() - come >= _QUIET_S
+            grown = len(looks) >= _FEWEST and len(looks) >= (oriented + 1 if last_ones else _GROWN * oriented)
+            if judging is None and grown and not (ending and (pending or not all_come)):
                 oriented = len(looks)
-                judging = judge.submit(_together, _ordered(looks), last, plan, stop)
+                judging = judge.submit(_together, _ordered(looks), last, plan, together[2])
             if changed:
-                made, changed = _so_far(looks, run, together, folder.waiting() + len(pending)), False
+                waiting = folder.waiting() + len(pending)
+                made, changed = _so_far(looks, run, together, waiting, project), False
                 live = {"waiting": int(made.verdict.figures["waiting"]), "lag_s": lag_s}
                 with output_file(project.output / verdict.FILE) as aside:
                     write_json(aside, {**verdict.debrief_json(made), "live": live})
                 report(made)
-            if stop.wait(_POLL_S):
+            if all_come and judging is None and not pending:
                 return made
+            if ending:
+                time.sleep(_POLL_S)
+            else:
+                stop.wait(_POLL_S)
 
 
 @contextmanager
@@ -158,38 +175,25 @@ def _ordered(looks: dict[Path, PictureQuality]) -> list[PictureQuality]:
     return [looks[path] for path in sorted(looks, key=lambda path: path.name)]
 
 
-class _StoppedError(Exception):
-    """The debrief was ended while pictures were matched."""
-
-
+@on_one_thread
 def _together(
-    looks: Sequence[PictureQuality], last: Sequence[Camera], plan: MatchingPlan, stop: threading.Event
-) -> tuple[Together, ExposureRun | None, float]:
-    """What pictures say together, their exposures, and how long that took, s."""
-
-    @contextmanager
-    def until_stopped(_: str, __: float | None) -> Iterator[Callable[[float], None]]:
-        """Show no progress, and end the work when it is to stop."""
-
-        def done(_: float) -> None:
-            """End the work when it is to stop."""
-            if stop.is_set():
-                raise _StoppedError
-
-        yield done
-
-    begun = time.monotonic()
+    looks: Sequence[PictureQuality], last: Sequence[Camera], plan: MatchingPlan, before: Quick | None
+) -> tuple[Together, ExposureRun | None]:
+    """What pictures say together, continued from an orientation of some of them, and their exposures."""
     try:
         stated = ((picture.path, picture.facts) for picture in looks)
         run = exposures_of_pictures([image_of(path, facts) for path, facts in stated if facts is not None])
     except PhotocalError:
         run = None
-    together = verdict.judged_together(looks, run, CameraOnBody(), last, plan, until_stopped)
-    return together, run, time.monotonic() - begun
+    return verdict.judged_together(looks, run, CameraOnBody(), last, plan, quiet, before), run
 
 
 def _so_far(
-    looks: dict[Path, PictureQuality], run: ExposureRun | None, together: Together, waiting: int
+    looks: dict[Path, PictureQuality],
+    run: ExposureRun | None,
+    together: Together,
+    waiting: int,
+    project: Project,
 ) -> Debrief:
     ordered = _ordered(looks)
     findings = verdict.in_order([*picture_findings(ordered), *together[0]])
@@ -199,5 +203,5 @@ def _so_far(
         "again": float(sum(finding.severity in verdict.AGAIN for finding in findings)),
         "look": float(sum(finding.severity in verdict.LOOK for finding in findings)),
     }
-    so_far = Finding("flight-so-far", "note", figures=figures)
-    return Debrief(so_far, tuple(findings), tuple(ordered), run, *together[1:])
+    so_far = Finding(verdict.SO_FAR, "note", figures=figures)
+    return Debrief(so_far, tuple(findings), tuple(ordered), run, *together[1:], project.contents.calibration)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.base.arrays import Integers
 from photocal.base.errors import PhotocalError
 from photocal.base.files import digest
 from photocal.base.policy import policy
@@ -22,13 +23,19 @@ from photocal.measurement.image_pairs import select_pairs, stated_footprints
 from photocal.measurement.match_images import FEATURES, MatchingPlan, match_all
 from photocal.measurement.oriented_ties import first_orientation
 from photocal.measurement.picture_tests import judge_pictures
-from photocal.measurement.position_files import local_places
-from photocal.measurement.tie_adjustment import camera_figures, told_by_rays, with_released_c
+from photocal.measurement.position_files import Origin, local_places
+from photocal.measurement.tie_adjustment import (
+    AdjustedTies,
+    camera_figures,
+    told_by_rays,
+    with_released_c,
+)
 from photocal.measurement.tie_block import start_block
 from photocal.navigation.exposures import Exposures
 
-# Enough for overlap, orientation and a first calibration; a tenth of the time of the features for the map.
-QUICK = FeatureSettings(most=2500, longest_px=1200)
+# Enough for overlap, orientation and a first calibration, in a small part of the time of the features for the
+# map.
+QUICK = FeatureSettings(most=1500, longest_px=640)
 _LOOK, _NAMES = 1, ("figures", "pixels", "scale", "descriptors")
 MEASURED = ("softness", "white", "black", "range")
 # Tiles in which sharpness is looked for, px and number along each side.
@@ -155,6 +162,11 @@ def _blurred(looks: Sequence[PictureQuality]) -> list[PictureQuality]:
 _CHANGED_SIGMAS, _CHANGED_SHARE = 4.0, 5e-4
 # Positions are held so many times more loosely to see whether they pull c.
 _LOOSE = 10.0
+# What else c depends on that a first calibration does not tell apart from nothing: pixels that are not
+# square, or a shutter that rolls without being noticed (10 ms at 8 m/s over 80 m), and a lens out of centre.
+ALSO = (("B1", 1e-3), ("P1", np.inf), ("P2", np.inf))
+# Pictures that each one is matched with.
+_PARTNERS = 12
 
 
 @dataclass(frozen=True)
@@ -163,12 +175,15 @@ class Quick:
 
     cameras: as `released.camera_figures`: c that the block gives by itself, with its sigma.
     ground_m: median height of what the pictures show, of the kind of their positions; NaN without these.
+    adjusted, origin: what a later orientation continues from, and the origin of its system.
     """
 
     joined: int
     left_out: tuple[dict[str, str], ...]
     cameras: list[dict[str, Any]]
     ground_m: float
+    adjusted: AdjustedTies
+    origin: Origin
 
 
 def with_positions(facts: Sequence[ImageFacts], exposures: Exposures) -> list[ImageFacts]:
@@ -197,26 +212,46 @@ def orient_quickly(
     last: Sequence[Camera],
     plan: MatchingPlan,
     progress: Progress,
+    before: Quick | None = None,
 ) -> Quick:
-    """Orient pictures by their features; what was matched before is kept."""
-    pairs, _ = select_pairs(stated_footprints(facts), len(facts))
+    """Orient pictures by their features; what was matched before is kept.
+
+    before: an orientation of some of them, which is continued where it left none out.
+    """
+    pairs = _of_nearest(facts, select_pairs(stated_footprints(facts), len(facts))[0])
     with progress("matching reduced pictures", len(pairs)) as done:
         tracks, _ = match_all(keys, pairs, plan, done)
     with progress("orienting reduced pictures", None):
-        places, origin = local_places(facts)
+        kept = None if before is None or before.left_out else before
+        places, origin = local_places(facts, None if kept is None else kept.origin)
         start = start_block(facts, places, "debrief")
         start = replace(start, cameras=tuple(_known(camera, last) for camera in start.cameras))
-        first = first_orientation(start, tracks, plan.cache)
+        # Without a cache for each: no other run orients just these pictures.
+        first = first_orientation(start, tracks, None, None if kept is None else kept.adjusted)
         adjusted = first.adjusted
         # The adjustment has a frame of its own, upright as that of the places.
         state = adjusted.solution
         above = float(np.median(state.exposures[:, 5]) - np.median(state.points[:, 2]))
         height = origin[2] + float(np.median(adjusted.values[:, 5])) - above
         ground = height if adjusted.start.datum != "free" else np.nan
-        freed = with_released_c(adjusted)
-        loosely = with_released_c(adjusted, _LOOSE)
+        freed = with_released_c(adjusted, 1.0, ALSO)
+        loosely = with_released_c(adjusted, _LOOSE, ALSO)
         cameras = camera_figures(adjusted, told_by_rays(freed, loosely))
-        return Quick(len(adjusted.start.images.names), first.left_out, cameras, ground)
+        joined = len(adjusted.start.images.names)
+        return Quick(joined, first.left_out, cameras, ground, adjusted, origin)
+
+
+def _of_nearest(facts: Sequence[ImageFacts], pairs: Integers) -> Integers:
+    """Pairs of which one picture is among the nearest of the other; all where places are not known."""
+    places = local_places(facts)[0]
+    apart = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
+    order = np.lexsort((np.r_[apart, apart], pairs.T.ravel()))
+    image = pairs.T.ravel()[order]
+    begin = np.searchsorted(image, image)
+    near = np.zeros(2 * len(pairs), dtype=np.bool_)
+    near[order] = np.arange(len(image)) - begin < _PARTNERS
+    chosen: Integers = pairs[near.reshape(2, -1).any(axis=0) | np.isnan(apart)]
+    return chosen
 
 
 def _known(stated: Camera, last: Sequence[Camera]) -> Camera:
@@ -234,10 +269,11 @@ def quick_findings(
     last: Sequence[Camera],
     plan: MatchingPlan,
     progress: Progress,
+    before: Quick | None = None,
 ) -> tuple[Quick | None, list[Finding]]:
     """Orient quickly, and hold the calibration against the last one of the same camera."""
     try:
-        quick = orient_quickly(facts, keys, last, plan, progress)
+        quick = orient_quickly(facts, keys, last, plan, progress, before)
     except PhotocalError as refusal:
         return None, [Finding("pictures-not-joined", "grave", figures={"reason": refusal.what})]
     findings = []

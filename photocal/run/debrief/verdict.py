@@ -1,7 +1,8 @@
 """The debrief: what a flight covers, and what can be said of it while its crew is still in the field."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from photocal.base.files import output_file, write_json
 from photocal.base.operating_system import cache_folder
 from photocal.base.progress import Progress
 from photocal.base.workers import Workers, run_tasks
-from photocal.block.project import Project
+from photocal.block.project import CalibrationKeys, Project
 from photocal.findings import digits
 from photocal.findings.finding import Finding, Severity, untested
 from photocal.findings.texts import (
@@ -38,6 +39,7 @@ from photocal.navigation.rig import CameraOnBody
 from photocal.planning.area import LocalPlane
 from photocal.planning.flown import FlownBlock, flown_block, gaps, level_ground
 from photocal.run.debrief import pictures
+from photocal.run.debrief.determined import Determined, determined
 from photocal.run.debrief.pictures import PictureQuality, Quick, picture_findings
 from photocal.run.exposures import exposures_of
 from photocal.run.output_place import check_output
@@ -128,6 +130,8 @@ def coverage_findings(flown: Coverage, exposures: Exposures) -> list[Finding]:
 
 
 SCHEMA, FILE = "photocal.debrief/1", "debrief.json"
+# Verdict of a flight that has not ended.
+SO_FAR = "flight-so-far"
 # More exposures without fixed ambiguities than this are worth a line; from here on the flight is.
 _MAY_FLOAT, _TOO_MANY = 0.1, 0.33
 # A flight lower than this over its take-off says nothing of the ground.
@@ -151,6 +155,12 @@ class Debrief:
     exposures: ExposureRun | None = None
     flown: Coverage | None = None
     quick: Quick | None = None
+    wanted: CalibrationKeys = field(default_factory=CalibrationKeys)
+
+    @cached_property
+    def determined(self) -> tuple[Determined, ...]:
+        """Principal distance of each camera beside what is wanted; none before an orientation."""
+        return () if self.quick is None else determined(self.quick, self.wanted)
 
 
 def debrief(project: Project, processes: Workers, progress: Progress, last: Sequence[Camera] = ()) -> Debrief:
@@ -176,7 +186,8 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
             findings += _exposure_findings(run, len(paths))
         combined, flown, quick = judged_together(looks, run, rig, last, plan, progress)
         findings = in_order([*findings, *picture_findings(looks), *combined])
-        made = Debrief(_verdict(findings), tuple(findings), tuple(looks), run, flown, quick)
+        wanted = project.contents.calibration
+        made = Debrief(_verdict(findings), tuple(findings), tuple(looks), run, flown, quick, wanted)
         with output_file(project.output / FILE) as aside:
             write_json(aside, debrief_json(made))
         return made
@@ -194,8 +205,12 @@ def judged_together(
     last: Sequence[Camera],
     plan: MatchingPlan,
     progress: Progress,
+    before: Quick | None = None,
 ) -> Together:
-    """Orient good pictures quickly, hold their calibration against the last one, and see what they cover."""
+    """Orient good pictures quickly, hold their calibration against the last one, and see what they cover.
+
+    before: the orientation of some of them, which is continued.
+    """
     unusable = [one for one in picture_findings(looks) if one.code in pictures.UNUSABLE]
     bad = {name for finding in unusable for name in finding.figures["images"]}
     good = [look for look in looks if look.path.name not in bad and look.facts is not None]
@@ -204,7 +219,8 @@ def judged_together(
         facts = [look.facts for look in good if look.facts is not None]
         if run is not None:
             facts = pictures.with_positions(facts, run.exposures)
-        quick, findings = pictures.quick_findings(facts, [look.key for look in good], last, plan, progress)
+        keys = [look.key for look in good]
+        quick, findings = pictures.quick_findings(facts, keys, last, plan, progress, before)
     if run is not None:
         flown, uncovered = _covered(run, rig, good, quick)
         findings = [*findings, *uncovered]
@@ -302,6 +318,7 @@ def debrief_json(made: Debrief) -> dict[str, Any]:
         }
     if quick is not None:
         content["quick"] = {"joined": quick.joined, "cameras": quick.cameras}
+        content["determined"] = [asdict(camera) for camera in made.determined]
     return content
 
 
@@ -309,6 +326,7 @@ def _said(made: Debrief, say: Catalogue) -> dict[str, Any]:
     """Verdict, figures and findings in one language, for pages that have no texts of findings."""
     return {
         "verdict": finding_text(made.verdict, say, plain),
+        "calibration": calibration_text(made, say),
         "summary": measured_text(_measured(made), say),
         "findings": [finding_text(finding, say, plain) for finding in made.findings],
     }
@@ -333,7 +351,7 @@ def _exposures(run: ExposureRun, flown: Coverage | None) -> list[dict[str, Any]]
 
 def debrief_text(made: Debrief, say: Catalogue) -> str:
     """A debrief in words."""
-    lines = [finding_text(made.verdict, say)]
+    lines = [finding_text(made.verdict, say), *calibration_text(made, say)]
     lines += [f"- {finding_text(finding, say)}" for finding in made.findings if finding.severity != "passed"]
     return "\n".join(lines + measured_text(_measured(made), say))
 
@@ -353,6 +371,27 @@ def _measured(made: Debrief) -> list[tuple[str, dict[str, Any]]]:
             own = {"camera": entry["camera"], "unit": entry["unit"]}
             told.append(("debrief.camera", {**own, "c": released["c"], "sigma": released["sigma"]}))
     return told
+
+
+def calibration_text(made: Debrief, say: Catalogue) -> list[str]:
+    """Say of each camera in a line whether the flight determines c as well as is wanted."""
+    flying = made.verdict.code == SO_FAR
+    return [_line_of(camera, flying, say) for camera in made.determined]
+
+
+def _line_of(camera: Determined, flying: bool, say: Catalogue) -> str:
+    figures = {
+        "camera": camera.camera,
+        "unit": camera.unit,
+        "wanted": digits.significant(camera.wanted, 2, say.mark),
+        "source": say(f"debrief.source.{camera.source}"),
+        "lacks": say(f"debrief.lacks.{camera.lacks}") if camera.lacks else "",
+    }
+    if camera.c is None or camera.sigma is None:
+        return say("debrief.untold", **figures)
+    c, sigma, _ = digits.measured(camera.c, camera.sigma, say.mark)
+    good = "debrief.may-land" if flying else "debrief.determined"
+    return say("debrief.undetermined" if camera.lacks else good, **figures, c=c, sigma=sigma)
 
 
 def measured_text(measured: Iterable[tuple[str, dict[str, Any]]], say: Catalogue) -> list[str]:

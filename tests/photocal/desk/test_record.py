@@ -64,6 +64,24 @@ def test_the_newest_recording_is_shown_over_the_planned_line(tmp_path: Path) -> 
     ]
 
 
+def test_what_a_flight_determines_is_told_without_a_recording(tmp_path: Path) -> None:
+    """In the language of the window, while the debrief follows the flight."""
+    file = tmp_path / "work" / "debrief.json"
+    file.parent.mkdir()
+    told: dict[str, object] = {
+        "live": {"waiting": 0},
+        "determined": [{"lacks": ""}, {"lacks": "height"}],
+        "said": {"en": {"calibration": ["a is determined", "b is not"]}},
+    }
+    with opened(tmp_path, tmp_path / "cache") as window:
+        assert window.get("/api/record").json["calibration"] == []
+        file.write_text(json.dumps(told))
+        lines = window.get("/api/record").json["calibration"]
+        assert lines == [["a is determined", True], ["b is not", False]]
+        file.write_text(json.dumps({**told, "live": None, "said": {}}))
+        assert window.get("/api/record").json["calibration"] == []
+
+
 def test_a_mission_that_cannot_be_read_keeps_nobody_from_the_recording(tmp_path: Path) -> None:
     (tmp_path / "flight-20260102T100000Z.mcap").write_bytes(MAGIC)
     (tmp_path / "flight.waypoints").write_text("nothing of the kind")

@@ -33,6 +33,7 @@ export async function mount(element, context) {
       return;
     }
     fill(box, h("h1", {}, say("record.title")), h("p.lead", {}, say("record.none")),
+      state.calibration.map(([line, good]) => said(good ? "good" : "warn", line)),
       h("div.card", {}, h("h2", {}, say("record.begin")),
         state.begin.length ? h("ol", {}, state.begin.map((line) => h("li", {}, h("code", {}, line)))) : h("p", {}, say("record.no-configuration")),
         h("p.hint", {}, say("record.appears"))));

@@ -7,7 +7,7 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -19,8 +19,9 @@ import pytest
 from photocal.base.arrays import Bytes
 from photocal.block.project import read_project
 from photocal.measurement.features import Features, FeatureSettings, detect
-from photocal.run.debrief import live, pictures
-from photocal.run.debrief.verdict import Debrief
+from photocal.run.debrief import live, pictures, verdict
+from photocal.run.debrief.pictures import PictureQuality
+from photocal.run.debrief.verdict import Debrief, Together
 
 PATIENCE_S = 120.0
 
@@ -84,6 +85,7 @@ def _holds(name: str, content: dict[str, Any]) -> bool:
 
 def test_pictures_are_judged_as_they_come(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each is looked at once, also after a new start; all together give overlap and c with its sigma."""
+    monkeypatch.setattr(live, "_QUIET_S", 0.5)
     detected: list[int] = []
 
     def counted(grey: Bytes, settings: FeatureSettings) -> Features:
@@ -118,6 +120,32 @@ def test_pictures_are_judged_as_they_come(site: Path, monkeypatch: pytest.Monkey
     assert 0.7 < made["coverage"]["overlap_median"] < 0.8
     assert [one["code"] for one in made["findings"] if one["severity"] in ("grave", "doubtful")] == []
     assert any("c 47" in line for line in made["summary"])
+
+
+def test_the_last_verdict_is_of_all_pictures(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also of one that comes just before the end; meanwhile they are oriented when many have come."""
+    oriented: list[int] = []
+    together = verdict.judged_together
+
+    def counted(looks: Sequence[PictureQuality], *others: Any) -> Together:
+        oriented.append(len(looks))
+        return together(looks, *others)
+
+    monkeypatch.setattr(verdict, "judged_together", counted)
+    sent = sorted((site.parent / "sent").iterdir())
+    with following(site) as followed:
+        for path in sent[:6]:
+            shutil.copyfile(path, site / "images" / path.name)
+        followed.until(lambda content: content["quick"])
+        for path in sent[6:9]:
+            shutil.copyfile(path, site / "images" / path.name)
+            followed.until(partial(_holds, path.name))
+        shutil.copyfile(sent[9], site / "images" / sent[9].name)
+    assert followed.written["quick"]["joined"] == len(names(followed.written)) == 10
+    assert followed.written["live"]["waiting"] == 0
+    assert len(oriented) <= 4
+    assert oriented[-1] == 10
+    assert followed.written["said"]["pt-BR"]["calibration"]
 
 
 def test_half_a_picture_waits_for_its_end_and_what_was_judged_stays(
