@@ -7,29 +7,37 @@ RADIAL with its principal point held at (0, 0) is BAL's own; y is turned down an
 stands after the solution, and another one after each covariance that comes to its end.
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 import time
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pyceres
-import pycolmap
+from numpy.typing import NDArray
 
+# What the project does not need, and has no types.
+pyceres: Any = import_module("pyceres")
+pycolmap: Any = import_module("pycolmap")
+
+Floats = NDArray[np.float64]
 FLIP = np.diag([1.0, -1.0, -1.0])
 
 
-def matrix_of(vector):
+def matrix_of(vector: Floats) -> Floats:
     """Rotation matrix of a rotation vector (Rodrigues)."""
     angle = np.linalg.norm(vector)
     if angle == 0.0:
         return np.eye(3)
     x, y, z = vector / angle
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
 
 
-def reconstruction(block):
+def reconstruction(block: dict[str, NDArray[Any]]) -> Any:
     """COLMAP reconstruction with the start values and all rays."""
     rec = pycolmap.Reconstruction()
     cameras, owner = block["cameras"], block["of_camera"]
@@ -63,7 +71,7 @@ def reconstruction(block):
     return rec
 
 
-def told(figures):
+def told(figures: dict[str, Any]) -> None:
     """Print figures, as far as they are known."""
     # Not of `getrusage`, which counts what this process was before it became this program.
     status = Path("/proc/self/status").read_text()
@@ -71,9 +79,9 @@ def told(figures):
     print("RESULT " + json.dumps(figures), flush=True)
 
 
-def main():
+def main() -> None:
     """Solve the problem that the command line names."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("problem")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--covariance", action="store_true")

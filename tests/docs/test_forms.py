@@ -23,7 +23,7 @@ from photocal.adjustment.network import Network
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.measurement.features import FeatureSettings, detect
-from photocal.measurement.match_images import match
+from photocal.measurement.pair_matching import match
 from photocal.measurement.tie_block import with_ties
 from photocal.measurement.tracks import join_tracks
 from photocal.navigation.events import RISING, time_marks

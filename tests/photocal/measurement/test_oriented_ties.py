@@ -282,7 +282,9 @@ def test_few_tie_points_whose_rays_do_not_meet_are_dropped() -> None:
     near = place(replace(start, images=replace(start.images, values=poses)), good)
     block = with_ties(start, tracks, np.vstack([near, far]), np.ones(len(tracks.track)))
     ties, block, (_, _, solution) = _where_rays_meet(
-        _Ties(start, poses, tracks, np.ones(len(tracks.track))), block, held=True
+        _Ties(start, poses, tracks, np.ones(len(tracks.track)), np.full((tracks.count, 3), np.nan)),
+        block,
+        held=True,
     )
     assert ties.tracks.count == 150
     assert len(block.points.names) == 150
