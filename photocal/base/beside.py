@@ -6,14 +6,18 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import Context, ContextVar
 from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 Result = TypeVar("Result")
 Told = Callable[[float], None]
+# A copy that has used no processor between two looks so far apart will not end.
+_PATIENCE_S = 5.0
 _STARTED: ContextVar[list[int] | None] = ContextVar("started", default=None)
 
 
@@ -21,8 +25,8 @@ class Beside(Generic[Result]):
     """A piece of work, begun in a copy of this process where there is one.
 
     The copy has all that this process has in memory, and costs nothing to start. What happens to it does not
-    matter: work that does not come to its end there is done here when its result is asked for, and fails
-    here, too. So it is on systems that cannot copy a process, or not safely.
+    matter: work that does not come to its end there, or hangs, is done here when its result is asked for, and
+    fails here, too. So it is on systems that cannot copy a process, or not safely.
 
     work: gets a function that takes the share done since its last call; it writes nothing to standard output,
         and sees no context (`contextvars`) of who begins it.
@@ -36,7 +40,10 @@ class Beside(Generic[Result]):
         if started is None or not _can_copy():
             return
         self._from_copy, to_parent = Pipe(duplex=False)
-        with suppress(OSError):
+        # From 3.12 on Python warns of threads, whose locks nobody would release in the copy: it would wait for
+        # ever, which is noticed when the result is asked for.
+        with suppress(OSError), warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)
             self._copy = os.fork()
             if self._copy == 0:
                 _answer(work, to_parent)
@@ -45,8 +52,13 @@ class Beside(Generic[Result]):
 
     def result(self, told: Told) -> Result:
         """Wait for the result; `told` gets the shares that were done."""
+        used = -1.0
         while self._from_copy is not None:
             try:
+                while not self._from_copy.poll(_PATIENCE_S):
+                    before, used = used, _processor_s(self._copy)
+                    if used <= before:
+                        raise EOFError
                 done, share = self._from_copy.recv()
             except (EOFError, OSError):
                 self._from_copy.close()
@@ -57,6 +69,14 @@ class Beside(Generic[Result]):
                 return result
             told(share)
         return Context().run(self._work, told)
+
+
+def _processor_s(process: int) -> float:
+    """Processor time of a process: what waits for a lock that no thread of a copy holds uses none."""
+    # Its name, in brackets, may have blanks.
+    fields = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    user, system = 11, 12
+    return float(int(fields[user]) + int(fields[system])) / os.sysconf("SC_CLK_TCK")
 
 
 def _can_copy() -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
@@ -46,6 +47,22 @@ def test_the_copy_works_with_threads_of_its_own() -> None:
     assert process != os.getpid()
     assert np.array_equal(found, np.arange(50) ** 2)
     assert shares == [0.5, 0.5]
+
+
+@copies
+def test_a_copy_that_waits_for_ever_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lock that a thread held when the process was copied is released by nobody in the copy."""
+    monkeypatch.setattr("photocal.base.beside._PATIENCE_S", 0.2)
+    lock, here = threading.Lock(), os.getpid()
+
+    def work(_: Told) -> int:
+        with lock:
+            return os.getpid()
+
+    with beside():
+        with lock:
+            begun = Beside(work)
+        assert begun.result(lambda _: None) == here
 
 
 def test_without_copies_the_work_is_done_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
