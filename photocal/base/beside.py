@@ -40,8 +40,8 @@ class Beside(Generic[Result]):
         if started is None or not _can_copy():
             return
         self._from_copy, to_parent = Pipe(duplex=False)
-        # From 3.12 on Python warns of threads, whose locks nobody would release in the copy: it would wait for
-        # ever, which is noticed when the result is asked for.
+        # From 3.12 on Python warns of threads, whose locks nobody would release in the copy: it would wait
+        # for ever, which is noticed when the result is asked for.
         with suppress(OSError), warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)
             self._copy = os.fork()
@@ -52,14 +52,9 @@ class Beside(Generic[Result]):
 
     def result(self, told: Told) -> Result:
         """Wait for the result; `told` gets the shares that were done."""
-        used = -1.0
         while self._from_copy is not None:
             try:
-                while not self._from_copy.poll(_PATIENCE_S):
-                    before, used = used, _processor_s(self._copy)
-                    if used <= before:
-                        raise EOFError
-                done, share = self._from_copy.recv()
+                done, share = _received(self._from_copy, self._copy)
             except (EOFError, OSError):
                 self._from_copy.close()
                 self._from_copy = None
@@ -69,6 +64,17 @@ class Beside(Generic[Result]):
                 return result
             told(share)
         return Context().run(self._work, told)
+
+
+def _received(from_copy: "Connection[Any, Any]", copy: int) -> tuple[bool, Any]:
+    """Wait for what a copy sends; raises EOFError where it has ended or does nothing any more."""
+    used = -1.0
+    while not from_copy.poll(_PATIENCE_S):
+        before, used = used, _processor_s(copy)
+        if used <= before:
+            raise EOFError
+    received: tuple[bool, Any] = from_copy.recv()
+    return received
 
 
 def _processor_s(process: int) -> float:
