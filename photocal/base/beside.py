@@ -56,6 +56,8 @@ class Beside(Generic[Result]):
             try:
                 done, share = _received(self._from_copy, self._copy)
             except (EOFError, OSError):
+                # It does not write where this process writes from now on.
+                os.kill(self._copy, signal.SIGKILL)
                 self._from_copy.close()
                 self._from_copy = None
                 break
