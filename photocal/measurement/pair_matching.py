@@ -70,8 +70,8 @@ def search_windows(
     with np.errstate(invalid="ignore"):
         near = (aim >= second.min(axis=0) - reach) & (aim <= second.max(axis=0) + reach)
     rows = np.flatnonzero(near.all(axis=1))
-    # Cells as long as the search reaches: what is sought in one lies in it or beside it. A margin of empty
-    # cells all round spares the search at the edges. The cells of one row stand together.
+    # Cells as long as the search reaches: what may match a feature of one lies in it or beside it. A margin
+    # of empty cells all round spares the search at the edges. The cells of one row stand together.
     origin = np.minimum(aim[rows].min(axis=0, initial=np.inf), second.min(axis=0)) - reach
     cells = (_cells(places, origin, reach) for places in (aim[rows], second))
     (down, across), (down_there, across_there) = cells

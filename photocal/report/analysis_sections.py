@@ -10,7 +10,7 @@ from photocal.analysis.outcome import Analysis, CameraAnalysis, Effect, Opinions
 from photocal.analysis.published import PublishedSet
 from photocal.analysis.shutters import OF_SHUTTERS
 from photocal.base.arrays import Floats
-from photocal.findings.digits import Number, power_of_ten, symbol
+from photocal.findings.digits import Number, decimals_of, power_of_ten, symbol
 from photocal.findings.document import Column, Paragraph, Piece, Section, TablePart, columns, said_table
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, finding_text, need_words, remedy_text, sentence
@@ -128,12 +128,14 @@ def _components(record: CameraAnalysis, say: Catalogue) -> list[Piece]:
 
 def _left_out(record: CameraAnalysis, camera: Camera, say: Catalogue) -> TablePart:
     heads = (f"change_of_c [{camera.unit}]", "variance_factor", "rmse [mm]")
-    none = say("word.none")
+    none, sigma = say("word.none"), camera.sigma_of("c")
+    # An adjustment without a parameter ends within a hundredth of a standard deviation: no digit says more.
+    decimals = max(decimals_of(sigma, 3), 0) if sigma > 0.0 else 3
     rows = (
         (
             symbol(left.parameter),
-            say.significant(left.c, 7),
-            say.significant(left.change_of_c, 3),
+            say.fixed(left.c, decimals),
+            say.fixed(left.change_of_c, decimals),
             say.significant(left.sigma0_squared, 4) if math.isfinite(left.sigma0_squared) else none,
             _checks(left.check_rmse_m, say),
         )

@@ -2,6 +2,7 @@
 
 import datetime as dt
 import json
+import math
 import re
 import tempfile
 from collections.abc import Callable, Mapping
@@ -31,7 +32,10 @@ _DRAWN = re.compile(rb"<svg.*?</svg>", re.DOTALL)
 _NUMBER = re.compile(rb"(?<![\w#])-?\d+\.\d+")
 # A number may differ by this share of itself, or, in metres, pixels and correlations, by this much.
 RELATIVE, ABSOLUTE = 1e-6, 1e-8
-# Figures of the analysis are differences of two adjustments, each of which ends within a millionth of a
+# Adjustments without a parameter end within a hundredth of a standard deviation of their minimum, here or on
+# another machine on either side of it: by this share, of their standard deviation or of what exceeds it.
+LEFT_OUT = 0.03
+# Other figures of the analysis are differences of two adjustments, each of which ends within a millionth of a
 # standard deviation of its minimum: four digits of them are the same everywhere;
 ANALYSIS, ANALYSIS_RELATIVE = "analysis", 1e-4
 # those that may be nearly zero, in millimetres, metres, pixels or as correlations, to a millionth.
@@ -132,9 +136,37 @@ def _in_mappings(certified: dict[str, Any], recomputed: dict[str, Any], place: s
         if a is missing or b is missing:
             listed.append(Difference(where, *(None if value is missing else value for value in (a, b))))
             continue
+        if key == "left_out":
+            listed += _left_out(a, b, where, _sigma_of_c(certified))
+            continue
         spread = float(sigma) if key == "value" and isinstance(sigma, int | float) else 0.0
         listed += differences(a, b, where, spread)
     return listed
+
+
+def _sigma_of_c(camera: dict[str, Any]) -> float:
+    """Standard deviation of c of an analysed camera, by the test of c against zero; 0 without one."""
+    for test in camera.get("significance", ()):
+        if test["parameters"] == ["c"] and test["statistic"] > 0.0 and camera["left_out"]:
+            first = camera["left_out"][0]
+            return abs(float(first["c"] - first["change_of_c"])) / math.sqrt(test["statistic"])
+    return 0.0
+
+
+def _left_out(certified: Any, recomputed: Any, place: str, sigma: float) -> list[Difference]:
+    """Compare adjustments without a parameter: only what lies farther apart than where they end."""
+    share = {"c": LEFT_OUT * sigma, "change_of_c": LEFT_OUT * sigma}
+    near = []
+    for one in differences(certified, recomputed, place):
+        _, _, key = one.place.rpartition(".")
+        key = key.partition("[")[0]
+        numbers = [value for value in (one.certified, one.found) if isinstance(value, float)]
+        if len(numbers) == 2:
+            allowed = LEFT_OUT * max(map(abs, numbers)) if key == "check_rmse_m" else share.get(key, 0.0)
+            if abs(numbers[0] - numbers[1]) <= allowed:
+                continue
+        near.append(one)
+    return near
 
 
 def _name(item: Any, index: int) -> str:

@@ -390,7 +390,7 @@ def _line_of(camera: Determined, flying: bool, say: Catalogue) -> str:
     if camera.c is None or camera.sigma is None:
         return say("debrief.untold", **figures)
     c, sigma, _ = digits.measured(camera.c, camera.sigma, say.mark)
-    good = "debrief.may-land" if flying else "debrief.determined"
+    good = "debrief.may_land" if flying else "debrief.determined"
     return say("debrief.undetermined" if camera.lacks else good, **figures, c=c, sigma=sigma)
 
 

@@ -179,6 +179,20 @@ def test_changed_figure_is_named(
     assert named in found.place
 
 
+@pytest.mark.parametrize(("share", "named"), [(0.01, False), (0.1, True)])
+def test_c_without_a_parameter_is_known_to_a_hundredth_of_its_sigma(
+    elsewhere: Path, again: dict[str, Any], share: float, named: bool
+) -> None:
+    """Such an adjustment ends somewhere within that, on another machine elsewhere."""
+    steps = ("analysis", "cameras", "dcs460", "left_out", 0, "c")
+    sigma = again["result"]["cameras"]["dcs460"]["parameters"]["c"]["sigma"]
+    change(elsewhere, *steps, to=again["analysis"]["cameras"]["dcs460"]["left_out"][0]["c"] + share * sigma)
+    certified, _ = read_record(elsewhere)
+    assert [found.place.endswith("left_out[0].c") for found in differences(certified, again)] == [
+        True
+    ] * named
+
+
 @pytest.mark.parametrize(
     ("steps", "to"), [(("date",), "2026-11-22"), (("particulars", "document", "client"), "somebody else")]
 )
