@@ -32,9 +32,9 @@ _DRAWN = re.compile(rb"<svg.*?</svg>", re.DOTALL)
 _NUMBER = re.compile(rb"(?<![\w#])-?\d+\.\d+")
 # A number may differ by this share of itself, or, in metres, pixels and correlations, by this much.
 RELATIVE, ABSOLUTE = 1e-6, 1e-8
-# Adjustments without a parameter end within a hundredth of a standard deviation of their minimum, here or on
-# another machine on either side of it: by this share, of their standard deviation or of what exceeds it.
-LEFT_OUT = 0.03
+# Adjustments without a parameter end within a hundredth of a standard deviation of their minimum, on another
+# machine perhaps on its other side: apart by this share of their standard deviation, or of what exceeds it.
+LEFT_OUT = 0.02
 # Other figures of the analysis are differences of two adjustments, each of which ends within a millionth of a
 # standard deviation of its minimum: four digits of them are the same everywhere;
 ANALYSIS, ANALYSIS_RELATIVE = "analysis", 1e-4
