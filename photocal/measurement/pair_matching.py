@@ -126,19 +126,22 @@ def match(first: Features, second: Features, sketch: int = SKETCH) -> Integers:
         coarsest = [np.argsort(-features.scale, kind="stable") for features in (first, second)]
         for most, enough in ((FEW, FEW_ENOUGH), (sketch, SKETCH_FEWEST)):
             coarse = [f.rows(order[:most]) for f, order in zip((first, second), coarsest, strict=True)]
-            known = _verified(coarse[0], coarse[1])
+            known = _verified(coarse[0], coarse[1], enough)
             if len(known) >= enough:
                 break
         else:
             return np.zeros((0, 2), dtype=np.int64)
         places = [features.pixels[index] for features, index in zip(coarse, known.T, strict=True)]
         windows = search_windows(first.pixels, second.pixels, places[0], places[1])
-    pairs = _verified(first, second, windows)
+    pairs = _verified(first, second, FEWEST, windows)
     return pairs if len(pairs) >= FEWEST else pairs[:0]
 
 
-def _verified(first: Features, second: Features, windows: Windows | None = None) -> Integers:
+def _verified(first: Features, second: Features, fewest: int, windows: Windows | None = None) -> Integers:
+    """Matches that agree with one epipolar geometry; none is looked for where there are fewer than asked."""
     pairs = mutual_matches(first.descriptors, second.descriptors, RATIO, windows)
+    if len(pairs) < fewest:
+        return pairs[:0]
     keep = epipolar_inliers(first.pixels[pairs[:, 0]], second.pixels[pairs[:, 1]], EPIPOLAR_PX)
     return pairs[keep]
 
