@@ -124,7 +124,7 @@ def match(first: Features, second: Features, sketch: int = SKETCH) -> Integers:
     windows = None
     if min(len(first.scale), len(second.scale)) > 2 * sketch:
         coarsest = [np.argsort(-features.scale, kind="stable") for features in (first, second)]
-        for most, enough in ((FEW, FEW_ENOUGH), (sketch, SKETCH_FEWEST)):
+        for most, enough in ((min(FEW, sketch), FEW_ENOUGH), (sketch, SKETCH_FEWEST)):
             coarse = [f.rows(order[:most]) for f, order in zip((first, second), coarsest, strict=True)]
             known = _verified(coarse[0], coarse[1], enough)
             if len(known) >= enough:
