@@ -1,6 +1,6 @@
 """Which adjustments were made, and why: whoever wants to know opens a ledger."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -42,10 +42,5 @@ def ledger() -> Iterator[list[NamedAdjustment]]:
 
 def enter(images: int, rays: int, iterations: int) -> None:
     """Enter an adjustment into all open ledgers."""
-    enter_again([NamedAdjustment(_REASON.get(), images, rays, iterations)])
-
-
-def enter_again(adjustments: Iterable[NamedAdjustment]) -> None:
-    """Enter adjustments that were made elsewhere, with their reasons, into all open ledgers."""
     for entries in _LEDGERS.get():
-        entries.extend(adjustments)
+        entries.append(NamedAdjustment(_REASON.get(), images, rays, iterations))

@@ -5,12 +5,9 @@ from __future__ import annotations
 import datetime as dt
 import shutil
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from photocal.adjustment.ledger import NamedAdjustment, because, enter_again, ledger
-from photocal.base.beside import Beside
 from photocal.base.errors import PhotocalError
 from photocal.base.progress import Progress
 from photocal.block.project import Project
@@ -62,48 +59,25 @@ def calibrated_once(block: Path, read: Callable[[Path], Block]) -> Calibrated:
     return calibrated
 
 
-def analysis_stage(work: Path, block: Path, calibration: Path, calibrated: Calibrated) -> Stage:
-    """Describe the stage that looks for hidden errors; its folder is the run with `analysis.json`.
+def analysis_stage(block: Path, calibration: Path, calibrated: Calibrated) -> Stage:
+    """Describe the stage that looks for hidden errors; its folder is the run with `analysis.json`."""
 
-    Of a small block it is made beside the stages before it: these use both cores little.
-    """
-    title, aside = "hidden errors, significance, correlations", work / ".analysis-beside"
-    begun: list[Beside[tuple[NamedAdjustment, ...]]] = []
-
-    def made_into(folder: Path, told: Callable[[float], None]) -> tuple[NamedAdjustment, ...]:
-        """Make the files of the stage; gives the adjustments."""
+    def make(folder: Path, show: Progress) -> None:
+        """Make the files of the stage."""
         from photocal.analysis.analyse_run import analyse_searched, write_analysis
 
         made = calibrated(None)
         if isinstance(made, PhotocalError):
             raise made
+
         shutil.copytree(
             calibration, folder, dirs_exist_ok=True, ignore=lambda *_: [RECORD], copy_function=shutil.copyfile
         )
-        with ledger() as adjustments, because(title):
-            outcome = analyse_searched(made, done=told)
+        with show("analysis", 1.0) as done:
+            outcome = analyse_searched(made, done=done)
         write_analysis(folder, outcome, made.adjusted.block, made.adjusted.result)
-        return tuple(adjustments)
 
-    def begin() -> None:
-        """Begin it in a copy of this process, where that does not take more memory than there is to spare."""
-        made, many = calibrated(None), 100_000
-        if not isinstance(made, PhotocalError) and len(made.adjusted.block.observations.image) <= many:
-            shutil.rmtree(aside, ignore_errors=True)
-            begun.append(Beside(partial(made_into, aside)))
-
-    def make(folder: Path, show: Progress) -> None:
-        """Make the files of the stage."""
-        with show("analysis", 1.0) as told:
-            if begun:
-                enter_again(begun.pop().result(told))
-                for path in aside.iterdir():
-                    path.replace(folder / path.name)
-                aside.rmdir()
-            else:
-                made_into(folder, told)
-
-    return Stage("analysis", title, make, after=(block, calibration), ahead=begin)
+    return Stage("analysis", "hidden errors, significance, correlations", make, after=(block, calibration))
 
 
 def certificate_stage(

@@ -8,7 +8,6 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from photocal.base.beside import beside
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, PhotocalError, system_refusals
 from photocal.base.extensions import STAGES, brought
@@ -90,7 +89,7 @@ def stages(
         calibration_stage(block, calibrated),
         *((flown_stage(project, block, calibration),) if given is None or given.block is None else ()),
         georeferencing_stage(project, block, read, calibrated),
-        analysis_stage(work, block, calibration, calibrated),
+        analysis_stage(block, calibration, calibrated),
     )
     made = (*made, *_added(project, work, {stage.name for stage in made}))
     earlier = tuple(work / stage.name for stage in made)
@@ -143,12 +142,7 @@ def run_project(
     course = Course(
         expected(last, last, size), progress, seen_s=sum(last.values()), pieces=usual_pieces(size)
     )
-    with (
-        alone(project.output),
-        beside(),
-        bar() as show,
-        followed(course, into(project.output / PROGRESS), show),
-    ):
+    with alone(project.output), bar() as show, followed(course, into(project.output / PROGRESS), show):
         digests = Digests(project.output / MEMORY, again=rehash)
         due = foreseen(wanted, project.output, digests, again)
         course.revise({name: 0.0 for name in names if name not in due})
@@ -158,8 +152,7 @@ def run_project(
         missing: set[Path] = set()
         failure: PhotocalError | None = None
         try:
-            for k, stage in enumerate(wanted):
-                _begin_ahead(wanted[k + 1 :], due, made)
+            for stage in wanted:
                 course.begin(stage.name)
                 try:
                     if missing.isdisjoint(stage.after):
@@ -186,16 +179,6 @@ def run_project(
     if failure is not None:
         raise explained(project, failure) from failure
     return tuple(made)
-
-
-def _begin_ahead(later: Sequence[Stage], due: Container[str], made: Sequence[StageResult]) -> None:
-    """Begin what later stages wait for, once those that they follow are made, and the last of them anew."""
-    new = {result.name: not result.kept for result in made}
-    last = made[-1].name if made else ""
-    for stage in later:
-        follows = [folder.name for folder in stage.after]
-        if stage.name in due and last in follows and new[last] and new.keys() >= set(follows):
-            stage.ahead()
 
 
 def _draw(

@@ -230,7 +230,6 @@ class Stage:
     after: folders of earlier stages whose files are read.
     before: gets the folder that was made and the public one before that is brought up to date; gives what it
         has done there, a phrase each.
-    ahead: begins what `make` will wait for, beside other stages, once those that it follows were made.
     """
 
     name: str
@@ -240,7 +239,6 @@ class Stage:
     settings: Mapping[str, Any] = field(default_factory=dict)
     after: tuple[Path, ...] = ()
     before: Callable[[Path, Path], tuple[str, ...]] = lambda *_: ()
-    ahead: Callable[[], None] = lambda: None
 
 
 @dataclass(frozen=True)

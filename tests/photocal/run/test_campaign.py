@@ -114,7 +114,7 @@ def test_what_compiles_after_an_installation_is_told(
     monkeypatch.setattr(compiled, "anything_compiled", lambda: False)
     monkeypatch.setattr(subprocess, "Popen", Begun)
     run_project(read_project(project), DAY, quiet, until="block", bar=lambda: nullcontext(told.append))
-    assert len(begun) == 3
+    assert len(begun) == 4
     # What fails in these processes is not told: their names must exist.
     for command in begun:
         module, function = re.fullmatch(r"import (\S+) as part; part\.(\w+)\(\)", command).groups()  # type: ignore[union-attr]
@@ -124,7 +124,7 @@ def test_what_compiles_after_an_installation_is_told(
     assert while_compiling[-1].left_s > 5.0
     # The second time all is kept, and nothing is compiled for it.
     run_project(read_project(project), DAY, quiet, until="block")
-    assert len(begun) == 3
+    assert len(begun) == 4
 
 
 def test_names_of_files_do_not_steer_the_terminal(

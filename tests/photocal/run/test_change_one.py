@@ -5,9 +5,7 @@ from __future__ import annotations
 import csv
 import datetime as dt
 import json
-import os
 import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -132,32 +130,6 @@ def test_the_verdict_comes_before_the_certificate_and_all_pictures(site: Path) -
     # A verdict that stands already is not told again.
     assert brought(site, judged) == set()
     assert len(told) == 1
-
-
-def test_an_analysis_in_a_copy_of_the_process_gives_the_same_files(
-    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    new = tmp_path / "new"
-    shutil.copytree(site, new, ignore=shutil.ignore_patterns("work", "new"))
-    copies = list[int]()
-    fork = os.fork if hasattr(os, "fork") else lambda: 0
-
-    def copied() -> int:
-        copies.append(1)
-        return fork()
-
-    monkeypatch.setattr(os, "fork", copied, raising=False)
-    brought(site, lambda _: None)
-    assert len(copies) == (sys.platform == "linux" and (os.cpu_count() or 1) > 1)
-    monkeypatch.setattr(os, "cpu_count", lambda: 1)
-    brought(new, lambda _: None)
-    assert files(site / "work") == files(new / "work")
-    adjusted = [
-        json.loads((folder / "work/.stages/analysis/stage.json").read_text())["adjustments"]
-        for folder in (site, new)
-    ]
-    assert adjusted[0] == adjusted[1]
-    assert not list((site / "work" / ".stages").glob(".analysis*"))
 
 
 def test_a_run_that_is_stopped_after_the_verdict_is_completed_by_the_next(site: Path, tmp_path: Path) -> None:
