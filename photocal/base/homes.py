@@ -95,6 +95,7 @@ class _OnProcesses:
         waiting: deque[tuple[Task, int, Future[Result]]] = deque()
 
         def begun(task: Task) -> None:
+            """Begin a piece of work at its home."""
             place = home(task) % self.count
             waiting.append((task, place, self._begun(function, task, place)))
 

@@ -262,7 +262,7 @@ class Measurements(Table):
         return self
 
 
-class CalibrationKeys(Table):
+class WantedCalibration(Table):
     """`[calibration]`: standard deviation of the principal distance that the flight is to reach."""
 
     c_sigma_px: PositiveFloat | None = None
@@ -332,7 +332,7 @@ class Contents(Table):
     control: Control | None = None
     measurements: Measurements | None = None
     leave_out: tuple[LeaveOutKeys, ...] = ()
-    calibration: CalibrationKeys = CalibrationKeys()
+    calibration: WantedCalibration = WantedCalibration()
     judgement: JudgementKeys = JudgementKeys()
     certificate: CertificateKeys = CertificateKeys()
 

@@ -17,7 +17,16 @@ from photocal.adjustment.parts.dissection import Dissection
 from photocal.adjustment.parts.fronts import Front
 from photocal.adjustment.parts.part import OF_IMAGE
 from photocal.adjustment.parts.upper import UndeterminedError, Upper, upper
-from photocal.adjustment.parts.work import At, Finish, Found, Moved, Spread, Step, Sums, Transform
+from photocal.adjustment.parts.work import (
+    At,
+    DatumQuestion,
+    DatumSpread,
+    Finish,
+    Found,
+    PartStep,
+    Sums,
+    Transform,
+)
 from photocal.adjustment.solution import Group, PhotoVariant, Solution
 from photocal.adjustment.solver import CONVERGED, FIRST_DAMPING, ITERATIONS, NEARLY, ROUNDING, Iteration
 from photocal.adjustment.state import State
@@ -206,7 +215,7 @@ def _stepped(block: _Block, equations: _Equations, to: int) -> float:
     """Make the step of some equations; returns its squared length."""
     common = equations.upper.solve(equations.rights)
     tasks = [
-        Step(at, to, part[:, 0])
+        PartStep(at, to, part[:, 0])
         for at, part in zip(block.at(equations.state, equations.damping), common, strict=True)
     ]
     return sum(block.each(work.step, tasks))
@@ -260,7 +269,7 @@ def _minimised(
 def _datum(block: _Block, state: int) -> _Datum:
     """What no observation sees at a state."""
     about = block.middle(state)
-    asked = [Moved(at, about, np.eye(7)) for at in block.at(state)]
+    asked = [DatumQuestion(at, about, np.eye(7)) for at in block.at(state)]
     alone, form, unknown, moves = zip(*block.each(work.resist, asked), strict=True)
     combined = open_of(sum(alone), sum(form))
     number, once = np.unique(np.concatenate(unknown), return_index=True)
@@ -272,7 +281,7 @@ def _released(block: _Block, state: int) -> int:
     combined = _datum(block, state).combined
     for _ in range(50):
         about = block.middle(state)
-        asked = [Moved(at, about, combined) for at in block.at(state)]
+        asked = [DatumQuestion(at, about, combined) for at in block.at(state)]
         form, pull, most, width = zip(*block.each(work.away, asked), strict=True)
         change = np.linalg.lstsq(sum(form), sum(pull), rcond=None)[0]
         tasks = [Transform(at, state + 1, about, combined @ change) for at in block.at(state)]
@@ -286,11 +295,11 @@ def _released(block: _Block, state: int) -> int:
 def _finished(block: _Block, equations: _Equations, last: int, datum: _Datum | None) -> Iterator[Sums]:
     """Give all parts their statistics."""
     at = block.at(equations.state, equations.damping)
-    of_datum = list[tuple[Spread, Floats, Floats] | None]([None] * len(at))
+    of_datum = list[tuple[DatumSpread, Floats, Floats] | None]([None] * len(at))
     if datum is not None:
-        asked = [Moved(one, datum.about, datum.combined) for one in at]
+        asked = [DatumQuestion(one, datum.about, datum.combined) for one in at]
         common = equations.upper.solve(list(block.each(work.datum_right, asked)))
-        spreads = [Spread(one, part) for one, part in zip(asked, common, strict=True)]
+        spreads = [DatumSpread(one, part) for one, part in zip(asked, common, strict=True)]
         constraint, cofactor = (sum(each) for each in zip(*block.each(work.spread, spreads), strict=True))
         inverse = np.linalg.inv(constraint)
         of_datum = [(spread, inverse, cofactor) for spread in spreads]

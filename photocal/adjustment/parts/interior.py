@@ -27,7 +27,7 @@ from photocal.adjustment.normal import (
     prepare,
 )
 from photocal.adjustment.parts.fronts import Front
-from photocal.adjustment.parts.part import OF_CAMERA, OF_IMAGE, Part, images_together
+from photocal.adjustment.parts.part import OF_CAMERA, OF_IMAGE, SubNetwork, images_together
 from photocal.adjustment.rank import weakest_pivot
 from photocal.adjustment.solver import SINGULAR_PIVOT
 from photocal.adjustment.state import State, moved_exposures
@@ -47,7 +47,7 @@ class Interior:
     full: the same, with both triangles of the blocks on the diagonal.
     """
 
-    part: Part
+    part: SubNetwork
     problem: Problem
     structure: Structure
     column: Integers
@@ -104,7 +104,7 @@ def _only(rows: Equations, columns: Flags) -> Equations:
     )
 
 
-def interior(part: Part) -> Interior:
+def interior(part: SubNetwork) -> Interior:
     """Order the inner images of a part, and number what it has in common with others."""
     network = part.network
     problem = prepare(replace(network, datum_points=None))
@@ -130,7 +130,7 @@ def interior(part: Part) -> Interior:
     )
 
 
-def _numbers(part: Part, problem: Problem) -> Integers:
+def _numbers(part: SubNetwork, problem: Problem) -> Integers:
     """Number in the whole of each column: of images, of cameras, of what is common; (layout.size,)."""
     layout = problem.layout
     number = np.full(layout.size, -1)
@@ -184,7 +184,7 @@ def addresses(structure: Structure, row: Integers, column: Integers) -> Integers
 
 
 @dataclass(frozen=True)
-class Condensed:
+class CondensedPart:
     """A part at a state, with its points and inner images eliminated.
 
     normal: of the problem; its matrix is gone.
@@ -198,7 +198,9 @@ class Condensed:
     right: Floats
 
 
-def condensed(at: Interior, state: State, damping: float = 0.0, room: Eliminated | None = None) -> Condensed:
+def condensed(
+    at: Interior, state: State, damping: float = 0.0, room: Eliminated | None = None
+) -> CondensedPart:
     """Set up the normal equations of a part and eliminate all that no other part has.
 
     raises IllPosedError: where that is not determined.
@@ -219,7 +221,7 @@ def condensed(at: Interior, state: State, damping: float = 0.0, room: Eliminated
     corner = _eliminated(at, values)
     reduced = handed_on(at, values, -normal.gradient[:, None])
     front = Front(at.common, corner, diagonal)
-    return Condensed(replace(normal, matrix=np.zeros(0)), values, front, reduced)
+    return CondensedPart(replace(normal, matrix=np.zeros(0)), values, front, reduced)
 
 
 def _eliminated(at: Interior, values: Floats) -> Floats:
@@ -249,7 +251,7 @@ def _eliminated(at: Interior, values: Floats) -> Floats:
     return np.ascontiguousarray(corner.T)
 
 
-def found(at: Interior, condensed: Condensed, right: Floats, common: Floats) -> Floats:
+def found(at: Interior, condensed: CondensedPart, right: Floats, common: Floats) -> Floats:
     """Columns of the problem, (layout.size, t), from its right-hand sides and the unknowns of the border."""
     free = at.column >= 0
     inner = np.zeros((at.structure.size, right.shape[1]))
@@ -305,7 +307,7 @@ def _back(structure: Structure, factor: Floats, x: Floats) -> None:
         x[here] = blas.dtrsm(1.0, panel[:width].T, part, lower=0)
 
 
-def stepped(at: Interior, condensed: Condensed, state: State, common: Floats) -> tuple[State, float]:
+def stepped(at: Interior, condensed: CondensedPart, state: State, common: Floats) -> tuple[State, float]:
     """State after a step whose common part (m,) is given, and its share of the squared length of the step."""
     problem, normal = at.problem, condensed.normal
     right = np.where(problem.held, 0.0, -normal.gradient)[:, None]
@@ -317,7 +319,7 @@ def stepped(at: Interior, condensed: Condensed, state: State, common: Floats) ->
     return replace(moved, points=points), float(decrease - normal.gradient @ step)
 
 
-def reduced_right(at: Interior, condensed: Condensed, points: Floats) -> Floats:
+def reduced_right(at: Interior, condensed: CondensedPart, points: Floats) -> Floats:
     """Right-hand sides of the problem, (layout.size, t), that those of points (t, points, 3) become."""
     design, structure = at.problem.design, at.problem.layout.envelope
     taken = np.zeros((len(design.pieces) - 1, len(points), at.problem.layout.size))
@@ -327,7 +329,7 @@ def reduced_right(at: Interior, condensed: Condensed, points: Floats) -> Floats:
     return right
 
 
-def spread_points(at: Interior, condensed: Condensed, steps: Floats, points: Floats) -> Floats:
+def spread_points(at: Interior, condensed: CondensedPart, steps: Floats, points: Floats) -> Floats:
     """Points (t, points, 3) that belong to steps (layout.size, t) and right-hand sides of the points."""
     result = np.zeros_like(points)
     back_substitute(
@@ -364,7 +366,7 @@ class FactoredPart(Factored):
 
 
 def factored_part(
-    at: Interior, condensed: Condensed, state: State, common: Floats, datum: Correction | None
+    at: Interior, condensed: CondensedPart, state: State, common: Floats, datum: Correction | None
 ) -> FactoredPart:
     """Give a part the covariance among its unknowns, from that (m, m) of its border."""
     structure = at.structure

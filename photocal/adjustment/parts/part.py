@@ -18,7 +18,7 @@ OF_IMAGE, OF_CAMERA = 6 + len(OWN), len(PARAMETERS)
 
 
 @dataclass(frozen=True)
-class Part:
+class SubNetwork:
     """A network of its own that adds to the whole what no other part does.
 
     network: with the cameras and the mounting of the whole.
@@ -118,7 +118,7 @@ def shares(dissection: Dissection, home: Integers, network: Network) -> Shares:
     return Shares(dissection, home, int(mounted[0]) if len(mounted) else 0)
 
 
-def divided(network: Network, dissection: Dissection) -> Iterator[Part]:
+def divided(network: Network, dissection: Dissection) -> Iterator[SubNetwork]:
     """Divide a network into parts, in their order.
 
     raises ConfigurationError: for what cannot be divided.
@@ -149,7 +149,7 @@ def divided(network: Network, dissection: Dissection) -> Iterator[Part]:
         yield part_of(own, points, of_part, shared, number)
 
 
-def part_of(network: Network, points: Integers, rays: Integers, shared: Shares, number: int) -> Part:
+def part_of(network: Network, points: Integers, rays: Integers, shared: Shares, number: int) -> SubNetwork:
     """Make a part of a network that has all images, but only its points and rays.
 
     points, rays: which ones of the whole these are.
@@ -171,7 +171,7 @@ def part_of(network: Network, points: Integers, rays: Integers, shared: Shares, 
         **observed,
     )
     inside = shared.dissection.node[images] == shared.dissection.parts[number]
-    return Part(
+    return SubNetwork(
         smaller,
         images,
         points,

@@ -12,8 +12,8 @@ from scipy.sparse import csr_array
 from photocal.adjustment.network import Network, Points, Rays
 from photocal.adjustment.parts.dissection import Dissection, dissect
 from photocal.adjustment.parts.part import (
-    Part,
     Shares,
+    SubNetwork,
     divided,
     homes_among,
     images_together,
@@ -115,7 +115,7 @@ def _of_part(portion: Portion, mask: Flags) -> Portion:
     )
 
 
-def _whole(frame: Network, paths: list[Path], shared: Shares, number: int) -> Part:
+def _whole(frame: Network, paths: list[Path], shared: Shares, number: int) -> SubNetwork:
     """Put the pieces of a part together."""
     pieces = list(_read(paths))
     firsts = np.cumsum([0, *(len(piece.numbers) for piece in pieces)])

@@ -18,7 +18,7 @@ from photocal.adjustment.datum import Correction, resisted, similarity_moves, tr
 from photocal.adjustment.normal import normal_equations
 from photocal.adjustment.parts.fronts import Front
 from photocal.adjustment.parts.interior import (
-    Condensed,
+    CondensedPart,
     Interior,
     condensed,
     factored_part,
@@ -29,7 +29,7 @@ from photocal.adjustment.parts.interior import (
     spread_points,
     stepped,
 )
-from photocal.adjustment.parts.part import Part
+from photocal.adjustment.parts.part import SubNetwork
 from photocal.adjustment.solution import Group, Solution
 from photocal.adjustment.state import State, start_state
 from photocal.base.arrays import Flags, Floats, Integers
@@ -48,7 +48,7 @@ class _Held:
 
     interior: Interior
     state: tuple[int, State] | None = None
-    condensed: tuple[int, float, Condensed] | None = None
+    condensed: tuple[int, float, CondensedPart] | None = None
 
 
 _PARTS = OrderedDict[tuple[str, int], _Held]()
@@ -72,7 +72,7 @@ class At:
 def part_number(task: Any) -> int:
     """Part that any task is about: processes that know it are preferred."""
     while not isinstance(task, At):
-        task = task.moved if isinstance(task, Spread) else task.at
+        task = task.moved if isinstance(task, DatumSpread) else task.at
     return task.part
 
 
@@ -96,12 +96,12 @@ def write(path: Path, value: object) -> None:
 class _Stored:
     """A part without its names, and these: as arrays, of which there may be many."""
 
-    part: Part
+    part: SubNetwork
     images: NDArray[np.str_]
     points: NDArray[np.str_]
 
 
-def write_part(folder: Path, number: int, part: Part) -> None:
+def write_part(folder: Path, number: int, part: SubNetwork) -> None:
     """Write a part."""
     network = part.network
     bare = replace(part, network=replace(network, image_names=(), point_names=()))
@@ -109,12 +109,12 @@ def write_part(folder: Path, number: int, part: Part) -> None:
     write(part_file(folder, number), _Stored(bare, *names))
 
 
-def read_part(folder: str | Path, number: int) -> Part:
+def read_part(folder: str | Path, number: int) -> SubNetwork:
     """Read a part."""
     with np.load(part_file(folder, number)) as arrays:
         stored = unpacked(_Stored, arrays)
     images, points = (tuple(names.tolist()) for names in (stored.images, stored.points))
-    part: Part = stored.part
+    part: SubNetwork = stored.part
     return replace(part, network=replace(part.network, image_names=images, point_names=points))
 
 
@@ -155,7 +155,7 @@ def _put(at: At, number: int, state: State) -> None:
         _state_file(at, old).unlink(missing_ok=True)
 
 
-def _condensed(at: At) -> Condensed:
+def _condensed(at: At) -> CondensedPart:
     held = _held(at)
     if held.condensed is None or held.condensed[:2] != (at.state, at.damping):
         room = None if held.condensed is None else held.condensed[2].normal.kept
@@ -181,7 +181,7 @@ def condense(at: At) -> HandedOn:
 
 
 @dataclass(frozen=True)
-class Step:
+class PartStep:
     """A step of a part to another state, and what it has of it in common with others, (m,)."""
 
     at: At
@@ -189,7 +189,7 @@ class Step:
     common: Floats
 
 
-def step(task: Step) -> float:
+def step(task: PartStep) -> float:
     """Make a step; returns its share of the squared length, in units of the standard deviations."""
     at = task.at
     made, state = _condensed(at), _state(at)
@@ -205,7 +205,7 @@ def middle(at: At) -> tuple[Floats, int]:
 
 
 @dataclass(frozen=True)
-class Moved:
+class DatumQuestion:
     """A question about similarity transformations of a part, about a place (3,).
 
     combined (7, d): combinations of them.
@@ -216,7 +216,7 @@ class Moved:
     combined: Floats
 
 
-def resist(task: Moved) -> tuple[Floats, Floats, Integers, Floats]:
+def resist(task: DatumQuestion) -> tuple[Floats, Floats, Integers, Floats]:
     """How a part resists transformations, see `resisted`; how they move its border, by number, (m, 7)."""
     held, state = _held(task.at), _state(task.at)
     at = held.interior
@@ -225,7 +225,7 @@ def resist(task: Moved) -> tuple[Floats, Floats, Integers, Floats]:
     return *resisted(at.problem, normal, moves), at.common, moves[at.of_common]
 
 
-def away(task: Moved) -> tuple[Floats, Floats, float, float]:
+def away(task: DatumQuestion) -> tuple[Floats, Floats, float, float]:
     """Normal equations of a transformation that brings datum points back; their largest moves and width."""
     at, state = _held(task.at).interior, _state(task.at)
     chosen = at.part.network.datum_points
@@ -250,7 +250,7 @@ def transform(task: Transform) -> None:
     _put(task.at, task.to, transformed(_state(task.at), task.change, task.about))
 
 
-def _datum_right(task: Moved) -> tuple[Interior, Condensed, Floats, Floats, Floats, Floats]:
+def _datum_right(task: DatumQuestion) -> tuple[Interior, CondensedPart, Floats, Floats, Floats, Floats]:
     """Transformations of a part, (size, d), (points, 3, d), and right-hand sides of its datum points."""
     held, state = _held(task.at), _state(task.at)
     at, made = held.interior, _condensed(task.at)
@@ -262,28 +262,28 @@ def _datum_right(task: Moved) -> tuple[Interior, Condensed, Floats, Floats, Floa
     return at, made, reduced, points, right, reduced_right(at, made, np.moveaxis(right, 2, 0))
 
 
-def datum_right(task: Moved) -> Floats:
+def datum_right(task: DatumQuestion) -> Floats:
     """What the right-hand sides of the datum hand on, (m, d)."""
     at, made, _, _, _, right = _datum_right(task)
     return handed_on(at, made.factor, right)
 
 
 @dataclass(frozen=True)
-class Spread:
+class DatumSpread:
     """What the right-hand sides of the datum come to for the border of a part, (m, d)."""
 
-    moved: Moved
+    moved: DatumQuestion
     common: Floats
 
 
-def _spread(task: Spread) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+def _spread(task: DatumSpread) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     at, made, reduced, points, right, of_reduced = _datum_right(task.moved)
     steps = found(at, made, of_reduced, task.common)
     moved = spread_points(at, made, steps, np.moveaxis(right, 2, 0))
     return reduced, steps, points, np.moveaxis(moved, 0, 2), right
 
 
-def spread(task: Spread) -> tuple[Floats, Floats]:
+def spread(task: DatumSpread) -> tuple[Floats, Floats]:
     """Sums G'A and G'QG of the datum points, (d, d)."""
     _, _, points, moved, right = _spread(task)
     return np.einsum("nak,nal->kl", right, points), np.einsum("nak,nal->kl", right, moved)
@@ -301,7 +301,7 @@ class Finish:
     at: At
     state: int
     covariance: Floats
-    datum: tuple[Spread, Floats, Floats] | None = None
+    datum: tuple[DatumSpread, Floats, Floats] | None = None
 
 
 @dataclass(frozen=True)
@@ -309,7 +309,7 @@ class Found:
     """What was found of a part, with covariances in the datum of the whole.
 
     solution: of its network; its sums count what counts here.
-    images, points, rays, home: as in `Part`.
+    images, points, rays, home: as in `SubNetwork`.
     """
 
     solution: Solution

@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from photocal.block.project import CalibrationKeys
+from photocal.block.project import WantedCalibration
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.run.debrief.pictures import Quick
 
@@ -37,12 +37,12 @@ class Determined:
     lacks: Lacks
 
 
-def determined(quick: Quick, keys: CalibrationKeys) -> tuple[Determined, ...]:
+def determined(quick: Quick, keys: WantedCalibration) -> tuple[Determined, ...]:
     """Hold each camera's principal distance against what is wanted of it."""
     return tuple(_of_camera(quick, k, entry, keys) for k, entry in enumerate(quick.cameras))
 
 
-def _of_camera(quick: Quick, k: int, entry: dict[str, Any], keys: CalibrationKeys) -> Determined:
+def _of_camera(quick: Quick, k: int, entry: dict[str, Any], keys: WantedCalibration) -> Determined:
     camera = quick.adjusted.block.cameras[k]
     share, source = wanted_share(quick, keys, camera.value("c") / camera.pitch[0])
     wanted = share * camera.value("c")
@@ -52,7 +52,7 @@ def _of_camera(quick: Quick, k: int, entry: dict[str, Any], keys: CalibrationKey
     return Determined(entry["camera"], entry["unit"], c, sigma, wanted, source, lacks)
 
 
-def wanted_share(quick: Quick, keys: CalibrationKeys, c_px: float) -> tuple[float, Wanted]:
+def wanted_share(quick: Quick, keys: WantedCalibration, c_px: float) -> tuple[float, Wanted]:
     """Standard deviation of c that is wanted, as a share of it, and where it comes from."""
     if keys.c_sigma_px is not None:
         return keys.c_sigma_px / c_px, "project"

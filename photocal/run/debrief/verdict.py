@@ -14,7 +14,7 @@ from photocal.base.files import output_file, write_json
 from photocal.base.operating_system import cache_folder
 from photocal.base.progress import Progress
 from photocal.base.workers import Workers, run_tasks
-from photocal.block.project import CalibrationKeys, Project
+from photocal.block.project import Project, WantedCalibration
 from photocal.findings import digits
 from photocal.findings.finding import Finding, Severity, untested
 from photocal.findings.texts import (
@@ -155,7 +155,7 @@ class Debrief:
     exposures: ExposureRun | None = None
     flown: Coverage | None = None
     quick: Quick | None = None
-    wanted: CalibrationKeys = field(default_factory=CalibrationKeys)
+    wanted: WantedCalibration = field(default_factory=WantedCalibration)
 
     @cached_property
     def determined(self) -> tuple[Determined, ...]:

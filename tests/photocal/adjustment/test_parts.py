@@ -16,7 +16,7 @@ from photocal.adjustment.parts import work
 from photocal.adjustment.parts.adjusting import adjust_parts, solution_of_parts
 from photocal.adjustment.parts.dissection import dissect
 from photocal.adjustment.parts.forecast import forecast
-from photocal.adjustment.parts.part import Part, divided, images_together
+from photocal.adjustment.parts.part import SubNetwork, divided, images_together
 from photocal.adjustment.parts.portions import Portion, together_in, write_parts, write_portions
 from photocal.adjustment.solution import Solution
 from photocal.base.errors import ConfigurationError, IllPosedError
@@ -117,7 +117,7 @@ def test_nothing_changes_where_no_memory_is_left(tmp_path: Path, monkeypatch: py
     reads = list[int]()
     original = work.read_part
 
-    def read(folder: str, part: int) -> Part:
+    def read(folder: str, part: int) -> SubNetwork:
         reads.append(part)
         return original(folder, part)
 

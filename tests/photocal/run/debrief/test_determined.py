@@ -11,7 +11,7 @@ import pytest
 from photocal.base.errors import ConfigurationError
 from photocal.base.operating_system import cache_folder
 from photocal.base.progress import quiet
-from photocal.block.project import CalibrationKeys, read_project
+from photocal.block.project import WantedCalibration, read_project
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue
 from photocal.measurement.image_file import list_images
@@ -37,13 +37,13 @@ def quick(flown: Path, plan: MatchingPlan) -> Quick:
     return oriented(flown, plan, 10)
 
 
-def lines(quick: Quick, keys: CalibrationKeys, language: str, code: str = SO_FAR) -> list[str]:
+def lines(quick: Quick, keys: WantedCalibration, language: str, code: str = SO_FAR) -> list[str]:
     made = Debrief(Finding(code, "note"), (), (), None, None, quick, keys)
     return calibration_text(made, catalogue(language))
 
 
 def test_a_wide_wish_is_reached_and_said_in_both_languages(quick: Quick) -> None:
-    keys = CalibrationKeys(c_sigma_px=400.0)
+    keys = WantedCalibration(c_sigma_px=400.0)
     (told,) = determined(quick, keys)
     assert told.wanted == pytest.approx(400.0)
     assert (told.source, told.lacks) == ("project", "")
@@ -56,7 +56,7 @@ def test_a_wide_wish_is_reached_and_said_in_both_languages(quick: Quick) -> None
 
 def test_what_is_not_reached_says_what_to_fly(quick: Quick) -> None:
     """The flight has two strips there and back at one height."""
-    keys = CalibrationKeys(c_sigma_percent=1e-4)
+    keys = WantedCalibration(c_sigma_percent=1e-4)
     (told,) = determined(quick, keys)
     assert told.wanted == pytest.approx(1e-6 * 471.4, rel=0.05)
     assert told.lacks == "crosswise"
@@ -78,7 +78,7 @@ def _with(quick: Quick, solution: object) -> Quick:
 
 def test_without_a_wish_the_heights_of_the_positions_say_it(quick: Quick) -> None:
     """A third of 3 m over some 30 m would be 3 %: it is never more than 0.5 %."""
-    (told,) = determined(quick, CalibrationKeys())
+    (told,) = determined(quick, WantedCalibration())
     assert told.source == "positions"
     stated = quick.adjusted.block.cameras[0].value("c")
     assert told.wanted == pytest.approx(5e-3 * stated)
@@ -86,14 +86,14 @@ def test_without_a_wish_the_heights_of_the_positions_say_it(quick: Quick) -> Non
     sigma = images.sigma.copy()
     sigma[:, 5] = 0.03
     finely = replace(quick.adjusted.start, images=replace(images, sigma=sigma))
-    (told,) = determined(replace(quick, adjusted=replace(quick.adjusted, start=finely)), CalibrationKeys())
+    (told,) = determined(replace(quick, adjusted=replace(quick.adjusted, start=finely)), WantedCalibration())
     assert told.wanted == pytest.approx(1e-3 * stated)
 
 
 def test_what_rays_do_not_tell_is_not_determined(quick: Quick) -> None:
     entry = {**quick.cameras[0], "released": {**quick.cameras[0]["released"], "credible": False}}
     untold = replace(quick, cameras=[entry])
-    keys = CalibrationKeys(c_sigma_px=400.0)
+    keys = WantedCalibration(c_sigma_px=400.0)
     (told,) = determined(untold, keys)
     assert told.c is None
     assert told.lacks
