@@ -126,13 +126,16 @@ class FeatureSettings:
     most: features to keep in an image.
     contrast: least contrast (SIFT's threshold, shared among its layers).
     longest_px: larger images are reduced to this length of their longer side; the places are given in the
-        stored grid. Memory and time depend on it alone. Larger ones have more features, but finer ones, of
-        which hardly any is among those that are kept.
+        stored grid. Memory and time depend on it alone.
+    part, rich: images are reduced to this part of their length where they then have so many times the
+        features that are kept: the finest ones, which are the most and cost the most, are not kept.
     """
 
     most: int = 10_000
     contrast: float = 0.01
-    longest_px: int = 1600
+    longest_px: int = 2400
+    part: float = 2 / 3
+    rich: float = 2.0
 
 
 def detect(grey: Bytes, settings: FeatureSettings) -> Features:
@@ -146,10 +149,13 @@ def detect(grey: Bytes, settings: FeatureSettings) -> Features:
     # Without the precise upscale the places are off by a fraction of a pixel.
     detector: Any = cv2
     sift = detector.SIFT_create(contrastThreshold=settings.contrast, enable_precise_upscale=True)
-    factor = min(1.0, settings.longest_px / max(height, width))
-    size = (max(1, round(width * factor)), max(1, round(height * factor)))
-    small = grey if factor == 1 else cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    points = sift.detect(small, None)
+    whole, points = min(1.0, settings.longest_px / max(height, width)), tuple[Any, ...]()
+    for factor in (settings.part, whole) if settings.part < whole else (whole,):
+        size = (max(1, round(width * factor)), max(1, round(height * factor)))
+        small = grey if factor == 1 else cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+        points = sift.detect(small, None)
+        if len(points) >= settings.rich * settings.most:
+            break
     scale = np.array([p.size for p in points], dtype=np.float32)
     chosen = _spread(_places(points), scale, size, settings.most)
     if not len(chosen):

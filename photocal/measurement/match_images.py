@@ -35,7 +35,7 @@ from photocal.measurement.tracks import Tracks, join_tracks, of_images
 FEATURES, MATCHES = 2, 4
 # Peak memory of a process that detects features, of 3 to 24 megapixels the same (their pictures are reduced),
 # and of the one that joins them.
-WORKER_BYTES, OWN_BYTES = 0.8e9, 1.0e9
+WORKER_BYTES, OWN_BYTES = 1.2e9, 1.0e9
 _NAMES = ("pixels", "scale", "descriptors")
 
 
