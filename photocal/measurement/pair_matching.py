@@ -108,10 +108,9 @@ def _moved(homography: Floats, pixels: Floats32) -> Floats:
 # A match is taken when it is nearer than this part of the distance to the second best, and as near as this to
 # the epipolar line, px. A pair needs so many verified matches; by chance a few always agree.
 RATIO, EPIPOLAR_PX, FEWEST = 0.85, 2.0, 20
-# First only so many features of each image are matched, the coarsest: few of them where these have enough
-# verified matches, else more. A pair that has fewer than the least among these is given up, for a small
-# part of the cost. By chance about ten agree. The others are matched only where these say where to look.
-FEW, FEW_ENOUGH = 1200, 40
+# First only so many features of each image are matched, the coarsest: a pair that has fewer verified matches
+# among them is given up, for a small part of the cost. By chance about ten agree. The others are matched only
+# where these say that they should be.
 SKETCH, SKETCH_FEWEST = 2500, 14
 
 
@@ -123,13 +122,10 @@ def match(first: Features, second: Features, sketch: int = SKETCH) -> Integers:
     """
     windows = None
     if min(len(first.scale), len(second.scale)) > 2 * sketch:
-        coarsest = [np.argsort(-features.scale, kind="stable") for features in (first, second)]
-        for most, enough in ((min(FEW, sketch), FEW_ENOUGH), (sketch, SKETCH_FEWEST)):
-            coarse = [f.rows(order[:most]) for f, order in zip((first, second), coarsest, strict=True)]
-            known = _verified(coarse[0], coarse[1], enough)
-            if len(known) >= enough:
-                break
-        else:
+        orders = ((features, np.argsort(-features.scale, kind="stable")) for features in (first, second))
+        coarse = [features.rows(order[:sketch]) for features, order in orders]
+        known = _verified(coarse[0], coarse[1], SKETCH_FEWEST)
+        if len(known) < SKETCH_FEWEST:
             return np.zeros((0, 2), dtype=np.int64)
         places = [features.pixels[index] for features, index in zip(coarse, known.T, strict=True)]
         windows = search_windows(first.pixels, second.pixels, places[0], places[1])
