@@ -127,15 +127,15 @@ class FeatureSettings:
     contrast: least contrast (SIFT's threshold, shared among its layers).
     longest_px: larger images are reduced to this length of their longer side; the places are given in the
         stored grid. Memory and time depend on it alone.
-    part, rich: images are reduced to this part of their length where they then have so many times the
-        features that are kept: the finest ones, which are the most and cost the most, are not kept.
+    part: images are reduced to this part of that length where they then have as many features as are kept:
+        the finest ones, which are the most and cost the most, would hardly be kept. A half leaves out the
+        finest octave, and no other feature.
     """
 
     most: int = 10_000
     contrast: float = 0.01
     longest_px: int = 2400
-    part: float = 2 / 3
-    rich: float = 2.0
+    part: float = 0.5
 
 
 def detect(grey: Bytes, settings: FeatureSettings) -> Features:
@@ -150,11 +150,11 @@ def detect(grey: Bytes, settings: FeatureSettings) -> Features:
     detector: Any = cv2
     sift = detector.SIFT_create(contrastThreshold=settings.contrast, enable_precise_upscale=True)
     whole, points = min(1.0, settings.longest_px / max(height, width)), tuple[Any, ...]()
-    for factor in (settings.part, whole) if settings.part < whole else (whole,):
+    for factor in (settings.part * whole, whole) if settings.part < 1.0 else (whole,):
         size = (max(1, round(width * factor)), max(1, round(height * factor)))
         small = grey if factor == 1 else cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         points = sift.detect(small, None)
-        if len(points) >= settings.rich * settings.most:
+        if len(points) >= settings.most:
             break
     scale = np.array([p.size for p in points], dtype=np.float32)
     chosen = _spread(_places(points), scale, size, settings.most)

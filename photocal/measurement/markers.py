@@ -80,14 +80,15 @@ def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Cent
     start = np.concatenate([edges, [0.7, light, dark - light]])
     side = float(np.hypot(*along.T).mean())
     sizes = np.array([1 / side, 1] * 4 + [0.5, half, half])
-    fit = fit_template(window, target_centre.quadrilateral, start, sizes)
+    slopes = target_centre.quadrilateral_slopes
+    fit = fit_template(window, target_centre.quadrilateral, start, sizes, slopes)
     if fit is None or fit.parameters[10] > 0:
         return None
     # The code shines through the border as far as blur takes it.
     clear = depth <= cell - BLURS * abs(fit.parameters[8])
     if not clear.all():
         window = window.rows(clear)
-        fit = fit_template(window, target_centre.quadrilateral, fit.parameters, sizes)
+        fit = fit_template(window, target_centre.quadrilateral, fit.parameters, sizes, slopes)
     if fit is None or fit.parameters[10] > 0:
         return None
     fitted = _corners(fit.parameters)

@@ -27,6 +27,8 @@ from photocal.measurement.image_file import Grey, as_eight_bit
 # Grey values at columns and rows, relative to the middle of the window, for a vector of parameters; for
 # several of them, (k, m, 1), in rows, (m, n).
 Template = Callable[[Floats, Floats, Floats], Floats]
+# Derivatives of a template with respect to its parameters, (n, k).
+Slopes = Callable[[Floats, Floats, Floats], Floats]
 
 
 @dataclass(frozen=True)
@@ -85,8 +87,13 @@ def cut_part(grey: Grey, centre: tuple[float, float], radius: float) -> Window:
     return Window((column, row), x[inside], y[inside], part[inside].astype(float))
 
 
-def fit_template(window: Window, template: Template, start: Floats, sizes: Floats) -> Fit | None:
-    """Fit a template in light that changes evenly (Levenberg-Marquardt)."""
+def fit_template(
+    window: Window, template: Template, start: Floats, sizes: Floats, partial: Slopes | None = None
+) -> Fit | None:
+    """Fit a template in light that changes evenly (Levenberg-Marquardt).
+
+    partial: derivatives of the template; they are differences where it is not given.
+    """
     across = np.column_stack([window.x, window.y])
 
     def lit(p: Floats) -> Floats:
@@ -98,7 +105,11 @@ def fit_template(window: Window, template: Template, start: Floats, sizes: Float
 
     def slopes(p: Floats) -> Floats:
         """Return the derivatives of `lit` with respect to its parameters."""
-        partials, light = _jacobian(window, template, p[:-2], sizes[:-2]), 1 + across @ p[-2:]
+        if partial is None:
+            partials = _differences(window, template, p[:-2], sizes[:-2])
+        else:
+            partials = partial(p[:-2], window.x, window.y) * sizes[:-2]
+        light = 1 + across @ p[-2:]
         even = template(p[:-2], window.x, window.y)
         return np.column_stack([partials * light[:, None], even[:, None] * across * uneven])
 
@@ -180,7 +191,7 @@ def _judged(parameters: Floats, jacobian: Floats, residual: Floats, sizes: Float
     return Fit(parameters, cofactor, float(np.sqrt(variance)), residual, jacobian @ root)
 
 
-def _jacobian(window: Window, template: Template, parameters: Floats, sizes: Floats) -> Floats:
+def _differences(window: Window, template: Template, parameters: Floats, sizes: Floats) -> Floats:
     steps = 1e-3 * np.diag(sizes)
     # All at once: a column of values for each parameter, against the row of pixels.
     moved = np.concatenate([parameters + steps, parameters - steps]).T[:, :, None]
@@ -250,6 +261,33 @@ def quadrilateral(p: Floats, x: Floats, y: Floats) -> Floats:
         series = r + r**2 / 2 * a * b + r**3 / 6 * (a**2 - 1) * (b**2 - 1)
         inside = inside + series * slope[k - 1] * slope[k]
     return np.asarray(p[9] + p[10] * inside)
+
+
+def quadrilateral_slopes(p: Floats, x: Floats, y: Floats) -> Floats:
+    """Derivatives of `quadrilateral` with respect to its eleven parameters, (n, 11)."""
+    blur, blurs = max(abs(p[8]), FINEST_BLUR_PX), np.sign(p[8]) * (abs(p[8]) > FINEST_BLUR_PX)
+    cos, sin = np.cos(p[0:8:2])[:, None], np.sin(p[0:8:2])[:, None]
+    # Of each edge, (4, n): distance in blurs, the part of the light inside, and the density.
+    away = (x * cos + y * sin + p[1:8:2][:, None]) / blur
+    edge = 0.5 * (1 + erf(away / np.sqrt(2)))
+    slope = np.exp(-(away**2) / 2) / np.sqrt(2 * np.pi)
+    # Of each corner between an edge and the one before it: see `quadrilateral`.
+    a, b, both = np.roll(away, 1, axis=0), away, np.roll(slope, 1, axis=0) * slope
+    turn = (p[0:8:2] - np.roll(p[0:8:2], 1))[:, None]
+    r = np.cos(turn)
+    outer, other = a**2 - 1, b**2 - 1
+    series = r + r**2 / 2 * a * b + r**3 / 6 * outer * other
+    by_a = both * (r**2 / 2 * b + r**3 / 3 * a * other - a * series)
+    by_b = both * (r**2 / 2 * a + r**3 / 3 * b * outer - b * series)
+    by_turn = -np.sin(turn) * both * (1 + r * a * b + r**2 / 2 * outer * other)
+    others = np.stack([edge[k - 1] * edge[k - 2] * edge[k - 3] for k in range(4)])
+    by_away = slope * others + by_b + np.roll(by_a, -1, axis=0)
+    slopes = np.empty((len(x), 11))
+    by_angle = by_away * (y * cos - x * sin) / blur + by_turn - np.roll(by_turn, -1, axis=0)
+    slopes[:, 0:8:2], slopes[:, 1:8:2] = p[10] * by_angle.T, p[10] / blur * by_away.T
+    slopes[:, 8] = -blurs * p[10] / blur * np.sum(by_away * away, axis=0)
+    slopes[:, 9], slopes[:, 10] = 1.0, np.prod(edge, axis=0) + np.sum(both * series, axis=0)
+    return slopes
 
 
 def flattened(dx: Floats, dy: Floats, bend: Floats) -> tuple[Floats, Floats]:

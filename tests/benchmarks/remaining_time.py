@@ -1,47 +1,103 @@
-"""Whether the remaining time of a bar was right: told over real, at a third, a half and two thirds of a run.
+"""Whether a run tells how long it will take: told over real from a third of the way on, and the longest silence.
 
-Usage: python -m tests.benchmarks.remaining_time PROJECT.toml: brings the project up to date and prints a row.
+Each project runs as a person runs it, `photocal run PROJECT.toml --json`, with a cache of its own, and its lines
+are read as they come. A row of the table for each; `--pieces`: how long each piece of work took, too.
+
+Usage: python -m tests.benchmarks.remaining_time [--pieces] PROJECT.toml ...
 """
 
 from __future__ import annotations
 
-import datetime as dt
+import json
+import os
+import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import tempfile
+import time
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
-from photocal.base.progress import Standing, quiet
-from photocal.block.project import read_project
-from photocal.run.campaign import run_project
-
 PARTS = (1 / 3, 1 / 2, 2 / 3)
+# From a third of the way on the remaining time must be right; a last second cannot be.
+FROM, SHORT_S = 1 / 3, 2.0
+HEAD = (
+    "| run | s | at 1/3 | at 1/2 | at 2/3 | least, most from 1/3 on | share of the time within 30 % "
+    "| longest silence, s | peak, MiB |"
+)
 
 
-def told(project: Path) -> list[Standing]:
-    """Run a project and give what its bar was told, the last when it had ended."""
-    seen: list[Standing] = []
+@dataclass(frozen=True)
+class Told:
+    """What a line of progress said, and when it came, s after the start."""
 
-    @contextmanager
-    def bar() -> Iterator[Callable[[Standing], None]]:
-        yield seen.append
-
-    run_project(read_project(project), dt.datetime.now().astimezone().date(), quiet, bar=bar)
-    return seen
+    at_s: float
+    left_s: float
+    stage: str
+    title: str
 
 
-def ratios(seen: list[Standing]) -> list[float]:
-    """Remaining time as it was told over what it turned out to be, at parts of the way."""
-    whole = seen[-1].elapsed_s
-    at = [min(seen, key=lambda now: abs(now.elapsed_s - part * whole)) for part in PARTS]
-    return [now.left_s / (whole - now.elapsed_s) for now in at]
+def told(project: Path, compiled: Path) -> tuple[list[Told], list[float], float, float]:
+    """Run a project; give what was told, when any line came, seconds of the whole run, and its peak, MiB."""
+    lines, came = [], [0.0]
+    with tempfile.TemporaryDirectory() as cache:
+        given = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+        given |= {"XDG_CACHE_HOME": cache, "PYTHONPYCACHEPREFIX": str(compiled)}
+        command = [sys.executable, "-m", "photocal", "run", str(project), "--json"]
+        began = time.monotonic()
+        process = subprocess.Popen(
+            command, env=given, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
+        for line in process.stderr or ():
+            came.append(time.monotonic() - began)
+            now = json.loads(line).get("progress") if line.startswith("{") else None
+            if now:
+                lines.append(Told(came[-1], now["left_s"], now["stage"], now["title"]))
+        _, _, usage = os.wait4(process.pid, 0)
+        whole = time.monotonic() - began
+    return lines, [*came, whole], whole, usage.ru_maxrss / 1024
+
+
+def row(name: str, lines: list[Told], came: list[float], whole: float, peak: float) -> str:
+    """Give the row of a run."""
+    late = [now for now in lines if FROM * whole <= now.at_s <= whole - SHORT_S]
+    ratios = [now.left_s / (whole - now.at_s) for now in late]
+    within = sum(0.7 <= ratio <= 1.3 for ratio in ratios) / max(len(ratios), 1)
+    at = [min(lines, key=lambda now: abs(now.at_s - part * whole)) for part in PARTS]
+    cells = [
+        name,
+        f"{whole:.0f}",
+        *(f"{now.left_s / (whole - now.at_s):.2f}" for now in at),
+        f"{min(ratios):.2f}, {max(ratios):.2f}" if ratios else "",
+        f"{within:.2f}",
+        f"{max(after - before for before, after in pairwise(came)):.1f}",
+        f"{peak:.0f}",
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def pieces(lines: list[Told], whole: float) -> str:
+    """Write how long each piece of work took, to the two seconds of the lines."""
+    begins: dict[str, float] = {}
+    for now in lines:
+        begins.setdefault(f"{now.stage}: {now.title}", now.at_s)
+    ends = [*list(begins.values())[1:], whole]
+    return "\n".join(
+        f"    {name:50} {end - begin:6.1f}" for (name, begin), end in zip(begins.items(), ends, strict=True)
+    )
 
 
 def main() -> None:
-    """Measure the run that the command line names."""
-    seen = told(Path(sys.argv[1]))
-    cells = (f"{ratio:.2f}" for ratio in ratios(seen))
-    print(f"| {seen[-1].elapsed_s:.1f} | {' | '.join(cells)} |", flush=True)
+    """Measure the runs of the projects that the command line names."""
+    given = sys.argv[1:]
+    with tempfile.TemporaryDirectory() as compiled:
+        subprocess.run([sys.executable, "-m", "photocal", "--help"], stdout=subprocess.DEVNULL, check=True)
+        print(HEAD, flush=True)
+        for project in (Path(text) for text in given if text != "--pieces"):
+            lines, came, whole, peak = told(project, Path(compiled))
+            print(row(project.resolve().parent.name, lines, came, whole, peak), flush=True)
+            if "--pieces" in given:
+                print(pieces(lines, whole), flush=True)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ from photocal.navigation.exposures import Exposures
 
 # Enough for overlap, orientation and a first calibration, in a small part of the time of the features for the
 # map.
-QUICK = FeatureSettings(most=1500, longest_px=640)
+QUICK = FeatureSettings(most=1500, longest_px=640, part=1.0)
 _LOOK, _NAMES = 1, ("figures", "pixels", "scale", "descriptors")
 MEASURED = ("softness", "white", "black", "range")
 # Tiles in which sharpness is looked for, px and number along each side.
