@@ -1,6 +1,6 @@
 """Compile the kernels once, at setup, so that the first adjustment does not wait for it.
 
-Three processes share the work.
+Several processes share the work.
 """
 
 from dataclasses import replace
@@ -16,6 +16,7 @@ from photocal.adjustment.near import Removals
 from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, Relations, point_weights
 from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.snooping import snoop
+from photocal.adjustment.solution import Solution
 from photocal.base.compiled import AHEAD, FOLDER
 from photocal.base.operating_system import lock
 from photocal.geometry.camera import PARAMETERS, SHAKE_DEGREES, camera
@@ -66,11 +67,8 @@ def compile_usual() -> None:
     adjust(_placed(network))
     solution = adjust(network)
     snoop(network)
-    # What an analysis does with the factor.
-    at = factored(network, solution.state)
-    ones = score(at, solution.residuals, np.ones((1, *solution.residuals.shape)))
-    followed_by(at, ones.steps, ones.moved)
-    Removals(at).stepped(np.array([True, False]), 1.0)
+    _followed(network, solution)
+    Removals(factored(network, solution.state)).stepped(np.array([True, False]), 1.0)
     cameras_without(fit(network, solution.state), [np.array([True, False])])
     # A free network with a scale bar passes through what the datum and kept points need.
     points = network.points.values
@@ -80,6 +78,13 @@ def compile_usual() -> None:
     free = Points(points, *point_weights(np.full((16, 3), np.inf)))
     lens = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0})
     adjust(replace(network, cameras=(lens,), points=free, relations=bar, datum_points=np.zeros(0, np.int64)))
+
+
+def _followed(network: Network, solution: Solution) -> None:
+    """Do what an analysis does with the factor, and what steps do that would leave a bent valley."""
+    at = factored(network, solution.state)
+    ones = score(at, solution.residuals, np.ones((1, *solution.residuals.shape)))
+    followed_by(at, ones.steps, ones.moved)
 
 
 def compile_other_lenses() -> None:
@@ -96,19 +101,24 @@ def compile_ahead() -> None:
 
 
 def compile_unusual() -> None:
-    """Compile what other lenses, parameters of single images and rolling shutters need."""
+    """Compile what other lenses and parameters of single images need."""
     compile_other_lenses()
     network = _network()
     # With a few photo-variant parameters every image has columns for them.
     varied = replace(network.cameras[0], deviation_sigma=np.where(np.arange(len(PARAMETERS)) == 1, 0.1, 0.0))
     adjust(replace(network, cameras=(varied,)))
-    # Moving while it is read, every image has six more columns.
-    adjust(_moving(()))
+
+
+def compile_rolling() -> None:
+    """Compile what rolling shutters need: moving while it is read, every image has six more columns."""
+    network = _moving(())
+    _followed(network, adjust(network))
 
 
 def compile_shaking() -> None:
     """Compile what images need that shake: fifteen columns more."""
-    adjust(_moving((1e-4,) * (1 + len(SHAKE_DEGREES))))
+    network = _moving((1e-4,) * (1 + len(SHAKE_DEGREES)))
+    _followed(network, adjust(network))
 
 
 def _moving(shake: tuple[float, ...]) -> Network:

@@ -82,6 +82,7 @@ def compile_all() -> None:
     parts = (
         "photocal.adjustment.compile as part; part.compile_unusual()",
         "photocal.adjustment.compile as part; part.compile_shaking()",
+        "photocal.adjustment.compile as part; part.compile_rolling()",
         "photocal.adjustment.compile as part; part.compile_usual()",
         "photocal.measurement.descriptor_kernel as part; part.compile_kernels()",
         "photocal.measurement.patch_kernel as part; part.compile_kernels()",
@@ -101,6 +102,7 @@ def compile_most_used(progress: Progress) -> None:
     parts = (
         "photocal.adjustment.compile as part; part.compile_usual()",
         "photocal.adjustment.compile as part; part.compile_ahead()",
+        "photocal.adjustment.compile as part; part.compile_rolling()",
         "photocal.measurement.descriptor_kernel as part; part.compile_kernels()",
         "photocal.measurement.patch_kernel as part; part.compile_kernels()",
     )

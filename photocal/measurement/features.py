@@ -127,9 +127,9 @@ class FeatureSettings:
     contrast: least contrast (SIFT's threshold, shared among its layers).
     longest_px: larger images are reduced to this length of their longer side; the places are given in the
         stored grid. Memory and time depend on it alone.
-    part: images are reduced to this part of that length where they then have as many features as are kept:
-        the finest ones, which are the most and cost the most, would hardly be kept. A half leaves out the
-        finest octave, and no other feature.
+    part: they are reduced to this part of that length where they then have as many features as are kept: the
+        finest ones, which are the most and cost the most, would hardly be kept. A half leaves out the finest
+        octave, and no other feature.
     """
 
     most: int = 10_000
@@ -149,8 +149,9 @@ def detect(grey: Bytes, settings: FeatureSettings) -> Features:
     # Without the precise upscale the places are off by a fraction of a pixel.
     detector: Any = cv2
     sift = detector.SIFT_create(contrastThreshold=settings.contrast, enable_precise_upscale=True)
-    whole, points = min(1.0, settings.longest_px / max(height, width)), tuple[Any, ...]()
-    for factor in (settings.part * whole, whole) if settings.part < 1.0 else (whole,):
+    points = tuple[Any, ...]()
+    lengths = settings.part * settings.longest_px, settings.longest_px
+    for factor in sorted({min(1.0, length / max(height, width)) for length in lengths}):
         size = (max(1, round(width * factor)), max(1, round(height * factor)))
         small = grey if factor == 1 else cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         points = sift.detect(small, None)

@@ -16,7 +16,7 @@ from photocal.base.progress import Progress, Standing
 COMPILING = "kernels"
 # Seconds that a stage takes at first, for each picture, each megapixel and each thousand rays, on two cores.
 _USUAL = {
-    COMPILING: (50.0, 0.0, 0.0, 0.0),
+    COMPILING: (80.0, 0.0, 0.0, 0.0),
     "ppk": (10.0, 0.0, 0.0, 0.0),
     "exposures": (1.0, 0.01, 0.0, 0.0),
     "block": (0.05, 0.01, 0.0, 0.003),

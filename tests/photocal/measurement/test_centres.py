@@ -14,7 +14,14 @@ from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.markers import moved_by_bend, on_bent_edges, quadrilateral_centre
-from photocal.measurement.target_centre import Centre, flattened, ground_bend, quadrilateral
+from photocal.measurement.target_centre import (
+    FINEST_BLUR_PX,
+    Centre,
+    flattened,
+    ground_bend,
+    quadrilateral,
+    quadrilateral_slopes,
+)
 from photocal.measurement.target_search import cross_centre, round_centre, saddle_centre
 
 from .rendering import DARK, LIGHT, bend, perspective, render
@@ -276,6 +283,18 @@ def test_a_blurred_corner_is_a_bivariate_normal_integral(degrees: float) -> None
     exact = stats.multivariate_normal([0, 0], [[1, correlation], [correlation, 1]])
     away = np.column_stack([x, y]) @ normals.T / blur
     assert quadrilateral(np.array([*edges, blur, 0.0, 1.0]), x, y) == pytest.approx(exact.cdf(away), abs=2e-3)
+
+
+@pytest.mark.parametrize("blur", [0.9, -0.6, 0.5 * FINEST_BLUR_PX])
+def test_slopes_of_a_quadrilateral_are_those_of_its_picture(blur: float) -> None:
+    """By differences, of a slanted one with a corner of 70 degrees."""
+    rng = np.random.default_rng(5)
+    angles = np.radians([3.0, 73.0, 185.0, 268.0])
+    p = np.r_[np.column_stack([angles, rng.uniform(5.0, 8.0, 4)]).ravel(), blur, 200.0, -150.0]
+    x, y = rng.uniform(-10.0, 10.0, (2, 500))
+    steps = 1e-5 * np.eye(11)
+    numerical = [(quadrilateral(p + step, x, y) - quadrilateral(p - step, x, y)) / 2e-5 for step in steps]
+    assert quadrilateral_slopes(p, x, y).T == pytest.approx(np.array(numerical), rel=1e-6, abs=2e-5)
 
 
 def test_acute_corners_are_measured_where_obtuse_ones_are() -> None:
