@@ -84,7 +84,6 @@ def compile_all() -> None:
         "photocal.adjustment.compile as part; part.compile_shaking()",
         "photocal.adjustment.compile as part; part.compile_rolling()",
         "photocal.adjustment.compile as part; part.compile_usual()",
-        "photocal.measurement.descriptor_kernel as part; part.compile_kernels()",
         "photocal.measurement.patch_kernel as part; part.compile_kernels()",
         "drivers.scan as part; part.compile_search()",
     )
@@ -103,7 +102,6 @@ def compile_most_used(progress: Progress) -> None:
         "photocal.adjustment.compile as part; part.compile_usual()",
         "photocal.adjustment.compile as part; part.compile_ahead()",
         "photocal.adjustment.compile as part; part.compile_rolling()",
-        "photocal.measurement.descriptor_kernel as part; part.compile_kernels()",
         "photocal.measurement.patch_kernel as part; part.compile_kernels()",
     )
     with progress("compiling, once after installation", None):

@@ -212,13 +212,15 @@ def orient_ties(
     try:
         for level in levels:
             matched = _matched(alone, matched, (names, sources, pairs), processes, progress, level)
-            alone, before = _adjusted(alone, matched, cache), alone
+            with progress("adjusting the tie points", None):
+                alone, before = _adjusted(alone, matched, cache), alone
             matched = of_images(matched, np.isin(before.start.images.names, alone.start.images.names))
     except (IllPosedError, NotConvergedError) as refusal:
         matched = alone.tracks
         found.append(Finding("matches-not-adjusted", "doubtful", refusal.what))
     try:
-        final = _with_marks(alone, findings, start)
+        with progress("adjusting with control", None):
+            final = _with_marks(alone, findings, start)
     except PhotocalError as refusal:
         raise _unoriented(start, tracks, refusal) from refusal
     stay = np.isin(alone.start.images.names, final.adjusted.start.images.names)

@@ -144,20 +144,26 @@ def _verified(first: Features, second: Features, fewest: int, windows: Windows |
 
 def mutual_matches(first: Bytes, second: Bytes, ratio: float, windows: Windows | None = None) -> Integers:
     """Features that are each other's nearest, clearly before the second nearest (Lowe 2004)."""
-    from photocal.measurement.descriptor_kernel import nearest
-
     if len(first) < 2 or len(second) < 2:
         return np.zeros((0, 2), dtype=np.int64)
     windows = windows or everything(len(first), len(second))
     # Descriptors are compared by the Hellinger kernel (Arandjelovic and Zisserman 2012).
     a, b = _rooted(first[windows.rows]), _rooted(second[windows.columns])
     there = np.zeros(len(a), dtype=np.int64)
-    alike = np.full((len(a), 2), -1.0, dtype=np.float32)
+    best, second_best = np.full((2, len(a)), -1.0, dtype=np.float32)
     back = np.full(len(b), -1.0, dtype=np.float32)
-    nearest(a, b, windows.begins, windows.spans, there, alike, back)
+    for start, end, spans in zip(windows.begins, windows.begins[1:], windows.spans, strict=False):
+        near = np.concatenate([np.arange(low, high) for low, high in spans])
+        if not len(near):
+            continue
+        alike, rows = a[start:end] @ b[near].T, np.arange(end - start)
+        nearest = alike.argmax(axis=1)
+        there[start:end], best[start:end] = near[nearest], alike[rows, nearest]
+        back[near] = np.maximum(back[near], alike.max(axis=0))
+        alike[rows, nearest] = -1.0
+        second_best[start:end] = alike.max(axis=1)
     # Of likenesses: distance^2 = 2 - 2 likeness. The nearest of my nearest is me when nobody is nearer to it.
-    best = alike[:, 0]
-    good = (1 - best < ratio**2 * (1 - alike[:, 1])) & (best >= back[there])
+    good = (1 - best < ratio**2 * (1 - second_best)) & (best >= back[there])
     pairs = np.column_stack([windows.rows[good], windows.columns[there[good]]])
     return pairs[np.argsort(pairs[:, 0], kind="stable")]
 

@@ -65,7 +65,7 @@ from photocal.measurement.position_files import (
     read_positions,
     shift_of_positions,
 )
-from photocal.measurement.release import HELD, HOLDING, with_released_cameras
+from photocal.measurement.release import HELD, HOLDING, STEPS, with_released_cameras
 from photocal.measurement.target_block import measure_board, measure_field
 from photocal.measurement.tie_block import POSITION_SIGMA_M, marked_control, start_block
 from photocal.measurement.tie_orientation import pictures_turned
@@ -297,8 +297,10 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     if project is not None:
         holding = HOLDING if known.exposures is None else ((),)
         open_lens = project.images.lens == "unknown"
-        with progress("adjusting the cameras", None):
-            final, measured, findings = with_released_cameras(oriented, block, holding, open_lens=open_lens)
+        with progress("adjusting the cameras", STEPS) as done:
+            final, measured, findings = with_released_cameras(
+                oriented, block, holding, open_lens=open_lens, done=done
+            )
         oriented = replace(oriented, adjusted=final, left_out=(*oriented.left_out, *final.left_out))
         if known.exposures is None:
             gimbal = {facts.name: facts.gimbal_deg for facts in tracked.facts}

@@ -3,7 +3,7 @@
 Which of Brown's two lenses a camera has, with which terms, where its pictures alone tell.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -257,23 +257,35 @@ HOLDING: tuple[tuple[str, ...], ...] = ((), HELD, PARAMETERS)
 ROUGH_PX, MOVES = 0.3, 0.5
 
 
+# Release, choice of the lens, vibration: about the same time each where images move while they are read.
+STEPS = 3
+
+
 def with_released_cameras(
-    oriented: Oriented, block: Block, holding: Sequence[Sequence[str]], *, open_lens: bool
+    oriented: Oriented,
+    block: Block,
+    holding: Sequence[Sequence[str]],
+    *,
+    open_lens: bool,
+    done: Callable[[float], None] = lambda _: None,
 ) -> tuple[AdjustedTies, Block, list[Finding]]:
     """Adjust with all that the cameras of a block estimate, and restore what was given in the block.
 
     holding: what is held, step by step, where the block does not bear it all.
     open_lens: whether the rays are to tell which lens it is.
+    done: told when each of the `STEPS` ends.
     returns: the adjustment, the measured block, and what was found.
     """
     # Positions of a flight log come later, and with them what determines c.
     held, wanted = oriented.adjusted, block.cameras
     released, block, findings = release(with_shutters_closed(held) if open_lens else held, block, holding)
+    done(1)
     if open_lens:
         # What one lens refused may fit the other.
         stay = np.isin(held.block.images.names, released.block.images.names)
         released, block, chosen = with_chosen_lenses(released, block, of_images(held.tracks, stay))
         findings += chosen
+    done(1)
     # Not before: beside a readout that a wrong lens feigned images seem to vibrate, too.
     released, needless = _without_needless_scales(with_vibration(released), wanted)
     if needless:

@@ -21,7 +21,9 @@ from photocal.run.block import block_stage, given_block_stage
 from photocal.run.calibration import analysis_stage, calibrated_once, calibration_stage, certificate_stage
 from photocal.run.control import control_stage
 from photocal.run.course import (
+    CODED,
     COMPILING,
+    PLAIN,
     RAYS_OF_A_PICTURE,
     Course,
     Workload,
@@ -30,6 +32,7 @@ from photocal.run.course import (
     followed,
     into,
     usual_pieces,
+    workload,
 )
 from photocal.run.exposures import exposures_stage
 from photocal.run.flown import flown_stage
@@ -139,9 +142,10 @@ def run_project(
     wanted = wanted[: None if until is None else names.index(until) + 1]
     last = {stage.name: last_seconds(stage, project.output) for stage in wanted}
     size = _size(project, wanted)
-    course = Course(
-        expected(last, last, size), progress, seen_s=sum(last.values()), pieces=usual_pieces(size)
-    )
+    control = project.control
+    wanted_targets = {CODED: control.coded_targets, PLAIN: control.plain_targets}
+    pieces = usual_pieces(size, [title for title, targets in wanted_targets.items() if not targets])
+    course = Course(expected(last, last, size, pieces), progress, seen_s=sum(last.values()), pieces=pieces)
     with alone(project.output), bar() as show, followed(course, into(project.output / PROGRESS), show):
         digests = Digests(project.output / MEMORY, again=rehash)
         due = foreseen(wanted, project.output, digests, again)
@@ -165,7 +169,7 @@ def run_project(
                         course.end(kept=made[-1].kept)
                         report(made[-1])
                         if stage.name == "block":
-                            course.revise(expected(last, due, _size(project, wanted)))
+                            course.revise(expected(last, due, _size(project, wanted), pieces))
                         continue
                 except PhotocalError as refusal:
                     failure = failure or refusal
@@ -210,7 +214,7 @@ def _compile_first(course: Course) -> None:
 
     if anything_compiled():
         return
-    course.begin(COMPILING, expected({}, (COMPILING,), (0.0, 0.0, 0.0))[COMPILING])
+    course.begin(COMPILING, expected({}, (COMPILING,), workload(0, 0.0, 0.0), {})[COMPILING])
     compile_most_used(course.progress)
     course.end(kept=False)
 
@@ -224,7 +228,7 @@ def _size(project: Project, stages: Sequence[Stage]) -> Workload:
     if given is not None and given.block is not None:
         ready.append(given.block)
     rays = next(filter(None, map(about_rays, ready)), RAYS_OF_A_PICTURE * pictures)
-    return pictures, pictures * megapixels, rays / 1000.0
+    return workload(pictures, megapixels, rays)
 
 
 # How the run of one project ended: its figures, or what ended it.

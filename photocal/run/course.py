@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Thread
@@ -14,27 +14,33 @@ from photocal.base.progress import Progress, Standing
 
 # What stands before the stages where the program has just been installed.
 COMPILING = "kernels"
-# Seconds that a stage takes at first, for each picture, each megapixel and each thousand rays, on two cores.
+# Seconds that a stage takes at first, for each picture, each megapixel, each pair of pictures that may show
+# the same, and each thousand rays, on two cores.
 _USUAL = {
-    COMPILING: (80.0, 0.0, 0.0, 0.0),
-    "ppk": (10.0, 0.0, 0.0, 0.0),
-    "exposures": (1.0, 0.01, 0.0, 0.0),
-    "block": (0.05, 0.01, 0.0, 0.003),
-    "calibration": (0.7, 0.0, 0.0, 0.016),
-    "flown": (0.3, 0.01, 0.0, 0.0),
-    "georeferencing": (2.0, 0.0, 0.0, 0.035),
-    "analysis": (0.3, 0.0, 0.0, 0.022),
-    "certificate": (0.9, 0.0, 0.0, 0.002),
+    COMPILING: (80.0, 0.0, 0.0, 0.0, 0.0),
+    "ppk": (5.0, 0.0, 0.0, 0.0, 0.0),
+    "exposures": (1.0, 0.01, 0.0, 0.0, 0.0),
+    "block": (0.05, 0.01, 0.0, 0.0, 0.003),
+    "calibration": (0.7, 0.0, 0.0, 0.0, 0.016),
+    "flown": (0.3, 0.01, 0.0, 0.0, 0.0),
+    "georeferencing": (2.0, 0.0, 0.0, 0.0, 0.035),
+    "analysis": (0.3, 0.0, 0.0, 0.0, 0.022),
+    "certificate": (0.9, 0.0, 0.0, 0.0, 0.002),
 }
-_OTHER = (5.0, 0.0, 0.0, 0.0)
+_OTHER = (5.0, 0.0, 0.0, 0.0, 0.0)
+CODED, PLAIN = "looking for coded targets", "looking for targets"
 # The same for the pieces of work of a stage in their order.
 _PIECES = {
     "measurements": {
-        "detecting features": (1.0, 0.9, 0.08, 0.0),
-        "matching pairs of images": (0.0, 0.3, 0.0, 0.0),
-        "orienting the pictures": (0.0, 0.55, 0.0, 0.0),
-        "matching tie points precisely": (0.0, 0.42, 0.0, 0.0),
-        "adjusting the cameras": (0.0, 1.0, 0.0, 0.0),
+        "detecting features": (2.0, 0.35, 0.005, 0.0, 0.0),
+        "matching pairs of images": (0.5, 0.0, 0.0, 0.045, 0.0),
+        CODED: (0.0, 0.06, 0.018, 0.0, 0.0),
+        PLAIN: (0.0, 0.06, 0.018, 0.0, 0.0),
+        "orienting the pictures": (1.5, 0.2, 0.0, 0.0, 0.0),
+        "matching tie points precisely": (0.5, 0.1, 0.028, 0.0, 0.0),
+        "adjusting the tie points": (0.5, 0.25, 0.0, 0.0, 0.0),
+        "adjusting with control": (0.2, 0.1, 0.0, 0.0, 0.0),
+        "adjusting the cameras": (1.0, 0.4, 0.0, 0.0, 0.0),
     }
 }
 # Of a ray in the files of a block.
@@ -48,8 +54,8 @@ UNCOUNTED = 0.4
 RAYS_OF_A_PICTURE = 200.0
 
 
-# How much a run has before it: pictures, the megapixels of all of them, thousands of rays.
-Workload = tuple[float, float, float]
+# How much a run has before it: pictures, the megapixels of all of them, pairs, thousands of rays.
+Workload = tuple[float, float, float, float]
 
 
 def about_rays(block: Path) -> float:
@@ -67,17 +73,25 @@ def _seconds(costs: tuple[float, ...], size: Workload) -> float:
     return first + sum(seconds * amount for seconds, amount in zip(each, size, strict=True))
 
 
-def usual_pieces(size: Workload) -> Pieces:
-    """Seconds that are usual for the pieces of stages that have several."""
+def workload(pictures: int, megapixels: float, rays: float) -> Workload:
+    """How much work so many pictures of this size are, and so many rays."""
+    # Neighbours that a picture is matched with at most.
+    neighbours = 24
+    return pictures, pictures * megapixels, pictures * min(pictures - 1, neighbours) / 2, rays / 1000.0
+
+
+def usual_pieces(size: Workload, absent: Container[str] = ()) -> Pieces:
+    """Seconds that are usual for the pieces of stages that have several, without those that are absent."""
     return {
-        stage: {name: _seconds(costs, size) for name, costs in pieces.items()}
+        stage: {name: _seconds(costs, size) for name, costs in pieces.items() if name not in absent}
         for stage, pieces in _PIECES.items()
     }
 
 
-def expected(last: Mapping[str, float], stages: Iterable[str], size: Workload) -> dict[str, float]:
+def expected(
+    last: Mapping[str, float], stages: Iterable[str], size: Workload, pieces: Pieces
+) -> dict[str, float]:
     """Seconds that each stage will take: as last time, else what is usual for so much work."""
-    pieces = usual_pieces(size)
 
     def usual(name: str) -> float:
         """Seconds of a stage that was never made."""

@@ -16,7 +16,7 @@ from photocal.base.progress import Standing, quiet
 from photocal.base.progress_bars import one_bar
 from photocal.commands.project import progress_words
 from photocal.findings.texts import catalogue
-from photocal.run.course import Course, about_rays, expected, followed, into, usual_pieces
+from photocal.run.course import Course, about_rays, expected, followed, into, usual_pieces, workload
 
 
 class Clock:
@@ -28,11 +28,12 @@ class Clock:
 
 
 def test_a_stage_takes_what_it_took_last_time() -> None:
-    nothing = (0.0, 0.0, 0.0)
-    assert expected({"block": 3.0, "analysis": 0.0}, ("block", "analysis"), nothing)["block"] == 3.0
-    usual = expected({}, ("measurements", "another"), (100.0, 1200.0, 20.0))
+    nothing = workload(0, 0.0, 0.0)
+    assert expected({"block": 3.0, "analysis": 0.0}, ("block", "analysis"), nothing, {})["block"] == 3.0
+    much = workload(100, 12.0, 20e3)
+    usual = expected({}, ("measurements", "another"), much, usual_pieces(much))
     assert usual["measurements"] > usual["another"] > 0.0
-    assert expected({}, ("analysis",), (0.0, 0.0, 1e3))["analysis"] > 3.0 * usual["another"]
+    assert expected({}, ("analysis",), workload(0, 0.0, 1e6), {})["analysis"] > 3.0 * usual["another"]
 
 
 def test_rays_are_told_by_the_size_of_their_file(tmp_path: Path) -> None:
