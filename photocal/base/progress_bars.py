@@ -70,7 +70,7 @@ def one_bar(as_json: bool = False, words: Mapping[str, str] = MappingProxyType({
     words: titles of work, `OF_RUN` and `ON_BAR` in the language of the person, where that is not English.
     """
     # To a program that asked for JSON.
-    json_every_s = 2.0
+    json_every_s = 1.0
     if as_json:
         return partial(_as_lines, json_every_s, _as_json)
     if sys.stderr.isatty():

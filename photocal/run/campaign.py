@@ -23,6 +23,7 @@ from photocal.run.control import control_stage
 from photocal.run.course import (
     CODED,
     COMPILING,
+    CONTROL,
     PLAIN,
     RAYS_OF_A_PICTURE,
     Course,
@@ -143,8 +144,8 @@ def run_project(
     last = {stage.name: last_seconds(stage, project.output) for stage in wanted}
     size = _size(project, wanted)
     control = project.control
-    wanted_targets = {CODED: control.coded_targets, PLAIN: control.plain_targets}
-    pieces = usual_pieces(size, [title for title, targets in wanted_targets.items() if not targets])
+    needed = {CODED: control.coded_targets, PLAIN: control.plain_targets, CONTROL: control.points}
+    pieces = usual_pieces(size, [title for title, given in needed.items() if not given])
     course = Course(expected(last, last, size, pieces), progress, seen_s=sum(last.values()), pieces=pieces)
     with alone(project.output), bar() as show, followed(course, into(project.output / PROGRESS), show):
         digests = Digests(project.output / MEMORY, again=rehash)

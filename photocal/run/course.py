@@ -28,19 +28,20 @@ _USUAL = {
     "certificate": (0.9, 0.0, 0.0, 0.0, 0.002),
 }
 _OTHER = (5.0, 0.0, 0.0, 0.0, 0.0)
-CODED, PLAIN = "looking for coded targets", "looking for targets"
+# Pieces that not all projects have.
+CODED, PLAIN, CONTROL = "looking for coded targets", "looking for targets", "adjusting with control"
 # The same for the pieces of work of a stage in their order.
 _PIECES = {
     "measurements": {
         "detecting features": (2.0, 0.35, 0.005, 0.0, 0.0),
-        "matching pairs of images": (0.5, 0.0, 0.0, 0.045, 0.0),
+        "matching pairs of images": (0.5, 0.0, 0.0, 0.04, 0.0),
         CODED: (0.0, 0.06, 0.018, 0.0, 0.0),
         PLAIN: (0.0, 0.06, 0.018, 0.0, 0.0),
         "orienting the pictures": (1.5, 0.2, 0.0, 0.0, 0.0),
-        "matching tie points precisely": (0.5, 0.1, 0.028, 0.0, 0.0),
-        "adjusting the tie points": (0.5, 0.25, 0.0, 0.0, 0.0),
-        "adjusting with control": (0.2, 0.1, 0.0, 0.0, 0.0),
-        "adjusting the cameras": (1.0, 0.4, 0.0, 0.0, 0.0),
+        "matching tie points precisely": (0.3, 0.12, 0.022, 0.0, 0.0),
+        "adjusting the tie points": (0.1, 0.12, 0.0, 0.0, 0.0),
+        CONTROL: (0.1, 0.1, 0.0, 0.0, 0.0),
+        "adjusting the cameras": (0.5, 0.2, 0.0, 0.0, 0.0),
     }
 }
 # Of a ray in the files of a block.

@@ -37,40 +37,43 @@ class Told:
     title: str
 
 
-def told(project: Path, compiled: Path) -> tuple[list[Told], list[float], float, float]:
-    """Run a project; give what was told, when any line came, seconds of the whole run, and its peak, MiB."""
-    lines, came = [], [0.0]
+def told(project: Path) -> tuple[list[Told], float, float]:
+    """Run a project; give what was told, seconds of the whole run, and its peak, MiB."""
+    lines = []
     with tempfile.TemporaryDirectory() as cache:
         given = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-        given |= {"XDG_CACHE_HOME": cache, "PYTHONPYCACHEPREFIX": str(compiled)}
+        given["XDG_CACHE_HOME"] = cache
         command = [sys.executable, "-m", "photocal", "run", str(project), "--json"]
         began = time.monotonic()
         process = subprocess.Popen(
             command, env=given, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
         )
         for line in process.stderr or ():
-            came.append(time.monotonic() - began)
+            at_s = time.monotonic() - began
             now = json.loads(line).get("progress") if line.startswith("{") else None
             if now:
-                lines.append(Told(came[-1], now["left_s"], now["stage"], now["title"]))
+                lines.append(Told(at_s, now["left_s"], now["stage"], now["title"]))
         _, _, usage = os.wait4(process.pid, 0)
         whole = time.monotonic() - began
-    return lines, [*came, whole], whole, usage.ru_maxrss / 1024
+    return lines, whole, usage.ru_maxrss / 1024
 
 
-def row(name: str, lines: list[Told], came: list[float], whole: float, peak: float) -> str:
+def row(name: str, lines: list[Told], whole: float, peak: float) -> str:
     """Give the row of a run."""
     late = [now for now in lines if FROM * whole <= now.at_s <= whole - SHORT_S]
     ratios = [now.left_s / (whole - now.at_s) for now in late]
     within = sum(0.7 <= ratio <= 1.3 for ratio in ratios) / max(len(ratios), 1)
     at = [min(lines, key=lambda now: abs(now.at_s - part * whole)) for part in PARTS]
+    # From the start on; the last one is until the end.
+    said = [Told(0.0, 0.0, "", "start"), *lines, Told(whole, 0.0, "", "")]
+    silence, where = max((b.at_s - a.at_s, a.title or a.stage) for a, b in pairwise(said))
     cells = [
         name,
         f"{whole:.0f}",
         *(f"{now.left_s / (whole - now.at_s):.2f}" for now in at),
         f"{min(ratios):.2f}, {max(ratios):.2f}" if ratios else "",
         f"{within:.2f}",
-        f"{max(after - before for before, after in pairwise(came)):.1f}",
+        f"{silence:.1f} ({where})",
         f"{peak:.0f}",
     ]
     return f"| {' | '.join(cells)} |"
@@ -90,16 +93,12 @@ def pieces(lines: list[Told], whole: float) -> str:
 def main() -> None:
     """Measure the runs of the projects that the command line names."""
     given = sys.argv[1:]
-    with tempfile.TemporaryDirectory() as compiled:
-        # As on a computer that has run the program before.
-        prefix = {**os.environ, "PYTHONPYCACHEPREFIX": compiled}
-        subprocess.run([sys.executable, "-m", "compileall", "-q", "photocal"], env=prefix, check=True)
-        print(HEAD, flush=True)
-        for project in (Path(text) for text in given if text != "--pieces"):
-            lines, came, whole, peak = told(project, Path(compiled))
-            print(row(project.resolve().parent.name, lines, came, whole, peak), flush=True)
-            if "--pieces" in given:
-                print(pieces(lines, whole), flush=True)
+    print(HEAD, flush=True)
+    for project in (Path(text) for text in given if text != "--pieces"):
+        lines, whole, peak = told(project)
+        print(row(project.resolve().parent.name, lines, whole, peak), flush=True)
+        if "--pieces" in given:
+            print(pieces(lines, whole), flush=True)
 
 
 if __name__ == "__main__":

@@ -294,8 +294,7 @@ def test_slopes_of_a_quadrilateral_are_those_of_its_picture(blur: float) -> None
     x, y = rng.uniform(-10.0, 10.0, (2, 500))
     steps = 1e-5 * np.eye(11)
     numerical = [(quadrilateral(p + step, x, y) - quadrilateral(p - step, x, y)) / 2e-5 for step in steps]
-    slopes = quadrilateral_slopes(p, x, y)
-    assert slopes.T == pytest.approx(np.array(numerical), rel=1e-6, abs=2e-5)
+    assert np.allclose(quadrilateral_slopes(p, x, y).T, numerical, rtol=1e-6, atol=2e-5)
 
 
 def test_acute_corners_are_measured_where_obtuse_ones_are() -> None:

@@ -16,7 +16,20 @@ from photocal.base.progress import Standing, quiet
 from photocal.base.progress_bars import one_bar
 from photocal.commands.project import progress_words
 from photocal.findings.texts import catalogue
-from photocal.run.course import Course, about_rays, expected, followed, into, usual_pieces, workload
+from photocal.run.course import (
+    CODED,
+    CONTROL,
+    PLAIN,
+    RAYS_OF_A_PICTURE,
+    Course,
+    Workload,
+    about_rays,
+    expected,
+    followed,
+    into,
+    usual_pieces,
+    workload,
+)
 
 
 class Clock:
@@ -53,43 +66,58 @@ def test_an_overdue_stage_tells_of_those_after_it() -> None:
         assert course.standing().left_s == pytest.approx(analysis_s, rel=0.1)
 
 
-# Recorded with nothing beside, nothing kept from before: pictures, megapixels, and seconds of each piece of
-# measuring. What is usual was fitted to the first three; the last stood apart.
+# Recorded with nothing beside, nothing kept from before: pictures, their megapixels, seconds of each piece of
+# measuring. What is usual was fitted to the first three; the others stood apart.
 RECORDED = {
-    "caliterra": ((12.0, 144.0, 2.4), (21.0, 3.7, 7.2, 6.3, 9.5)),
-    "lewis": ((10.0, 120.0, 2.0), (22.0, 3.0, 4.7, 3.3, 3.3)),
-    "brighton": ((18.0, 162.0, 3.6), (31.9, 5.3, 9.4, 7.1, 40.5)),
-    "kite": ((16.0, 64.0, 3.2), (21.8, 8.9, 40.5, 7.7, 16.2)),
+    "caliterra": ((12, 12.0), (6.6, 2.0, 4.4, 4.8, 0.9, 3.4)),
+    "lewis": ((10, 12.0), (5.8, 1.9, 2.5, 2.2, 0.3, 0.8)),
+    "brighton": ((18, 9.0), (9.1, 2.6, 4.6, 4.6, 3.0, 20.8)),
+    "kite": ((16, 4.0), (8.8, 3.7, 21.6, 7.3, 1.1, 10.7)),
+    "sequoia": ((4, 16.0), (3.6, 0.3, 5.0, 1.1, 1.3, 1.8)),
 }
 PIECES = (
     "detecting features",
     "matching pairs of images",
     "orienting the pictures",
     "matching tie points precisely",
+    "adjusting the tie points",
     "adjusting the cameras",
 )
-# Nobody knows how much they have to do.
-UNCOUNTED = PIECES[2::2]
+# Nobody knows how much they have to do; the last has steps.
+UNCOUNTED = PIECES[2], PIECES[4]
+# None of these has control.
+ABSENT = (CODED, PLAIN, CONTROL)
+
+
+def work_of(pictures: int, megapixels: float) -> Workload:
+    """Work of a flight with as many rays as pictures usually have."""
+    return workload(pictures, megapixels, RAYS_OF_A_PICTURE * pictures)
+
+
 # Of a flight of twelve pictures with 12 megapixels.
-USUAL = usual_pieces((12.0, 144.0, 2.4))
+USUAL = usual_pieces(work_of(12, 12.0), ABSENT)
 # How many times as long everything takes on the computer at work.
 PACES = (0.5, 1.0, 3.0)
 
 
 def told(name: str, pace: float, titles: tuple[str, ...] = PIECES) -> tuple[list[float], list[float]]:
     """Error of the remaining time (log of told by real) and share done, second by second."""
-    size, recorded = RECORDED[name]
+    (pictures, megapixels), recorded = RECORDED[name]
+    size = work_of(pictures, megapixels)
+    usual = usual_pieces(size, ABSENT)
     clock, errors, shares = Clock(), list[float](), list[float]()
-    seconds, ahead = [pace * amount for amount in recorded], expected({}, ("measurements", "analysis"), size)
+    seconds = [pace * amount for amount in recorded]
+    ahead = expected({}, ("measurements", "analysis"), size, usual)
     left = sum(seconds) + pace * ahead["analysis"]
-    course = Course(ahead, quiet, clock, pieces=usual_pieces(size))
+    course = Course(ahead, quiet, clock, pieces=usual)
     course.begin("measurements")
     for title, amount in zip(titles, seconds, strict=True):
         with course.progress(title, None if title in UNCOUNTED else amount) as done:
-            for _ in range(int(amount)):
-                clock.now += 1.0
-                left -= 1.0
-                done(1.0)
+            # Ten times a second: some last less than one.
+            for _ in range(int(amount * 10)):
+                clock.now += 0.1
+                left -= 0.1
+                done(0.1)
                 now = course.standing()
                 errors.append(abs(math.log(now.left_s / left)))
                 shares.append(now.share)
@@ -104,14 +132,14 @@ def test_pieces_of_a_stage_tell_more_of_its_time_than_the_piece_at_work(name: st
         errors, shares = told(name, pace)
         assert shares == sorted(shares)
         known.append(statistics.mean(errors))
-        unknown.append(statistics.mean(told(name, pace, ("one", "two", "three", "four", "five"))[0]))
+        unknown.append(statistics.mean(told(name, pace, ("1", "2", "3", "4", "5", "6"))[0]))
     assert statistics.mean(known) < statistics.mean(unknown)
 
 
 @pytest.mark.parametrize("name", RECORDED)
 def test_the_first_second_of_a_flight_promises_half_to_twice_its_time(name: str) -> None:
     size, seconds = RECORDED[name]
-    promised = expected({}, ("measurements",), size)["measurements"]
+    promised = sum(usual_pieces(work_of(*size), ABSENT)["measurements"].values())
     assert 0.5 < promised / sum(seconds) < 2.0
 
 
@@ -231,7 +259,7 @@ def test_lines_into_a_file(as_json: bool, monkeypatch: pytest.MonkeyPatch) -> No
     lines = stream.getvalue().splitlines()
     if as_json:
         steps = [json.loads(line)["progress"] for line in lines]
-        assert [step["elapsed_s"] for step in steps] == [float(t) for t in range(0, 21, 2)]
+        assert [step["elapsed_s"] for step in steps] == [float(t) for t in range(21)]
         last = {"stage": "analysis", "title": "images", "share": 0.5, "left_s": 20.0, "elapsed_s": 20.0}
         assert steps[-1] == last
     else:
@@ -265,6 +293,6 @@ def test_progress_speaks_the_language_of_the_person(capsys: pytest.CaptureFixtur
 def test_every_work_of_a_run_has_its_title_in_portuguese() -> None:
     """Titles that are not in the window's texts would stay English."""
     known = progress_words(catalogue("pt-BR"))
-    titles = {name for pieces in usual_pieces((1.0, 1.0, 1.0)).values() for name in pieces}
+    titles = {name for pieces in usual_pieces(work_of(1, 1.0)).values() for name in pieces}
     assert titles
     assert titles <= known.keys()
