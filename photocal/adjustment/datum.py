@@ -7,10 +7,10 @@ is then moved onto the start values, and the covariance transformed, so that the
 """
 
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from scipy.linalg import qr
-from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.envelope import multiply, solve
@@ -231,7 +231,13 @@ def at_rest(problem: Problem, state: State, worth: float) -> State | None:
     network = problem.network
     if (network.exposures.sigma == 0).any() or network.points.held.any() or len(problem.stiffened):
         return None
-    chi_squared, slope, curvature = _others_moved(problem, state)
+    # Nobody asks for points without observations of their own before the block comes to rest.
+    asked = problem.layout.kept_points, network.relations.kind, network.lasers.image
+    weighted, changes = np.flatnonzero(problem.design.prior_weight.any(axis=(1, 2))), list[Floats]()
+    whole = state
+    if not any(map(len, (weighted, *asked))):
+        state = replace(state, points=state.points[:0])
+    chi_squared, slope, curvature = _others_moved(problem, state, weighted)
     size = np.sqrt(np.diagonal(curvature))
     unit = np.divide(1.0, size, out=np.zeros(7), where=size > 0.0)
     if _newton(curvature, slope, unit)[1] < worth:
@@ -239,24 +245,25 @@ def at_rest(problem: Problem, state: State, worth: float) -> State | None:
     for _ in range(NEWTON):
         # An unknown of its own for each transformation that something resists, of a sigma each.
         steps = [np.where(np.arange(7) == k, SMALL * unit, 0.0) for k in range(7)]
-        ahead = [_others_moved(problem, transformed(state, step))[1] for step in steps]
+        ahead = [_others_moved(problem, transformed(state, step), weighted)[1] for step in steps]
         curved = np.divide(
             np.array(ahead) - slope, SMALL * unit[:, None], where=unit[:, None] > 0.0, out=np.zeros((7, 7))
         )
         change, gain = _newton((curved + curved.T) / 2, slope, unit)
         while gain > CONVERGED:
             moved = transformed(state, change)
-            lower, *there = _others_moved(problem, moved)
+            lower, *there = _others_moved(problem, moved, weighted)
             if lower < chi_squared:
                 break
             change, gain = change / 4, gain / 4
         else:
             break
+        changes.append(change)
         state, chi_squared, slope, curvature = moved, lower, *there
         # The next step of the whole adjustment goes on from here.
         if _newton(curvature, slope, unit)[1] < LITTLE * worth:
             break
-    return state
+    return reduce(transformed, changes, whole)
 
 
 def _newton(curvature: Floats, slope: Floats, unit: Floats) -> tuple[Floats, float]:
@@ -267,21 +274,21 @@ def _newton(curvature: Floats, slope: Floats, unit: Floats) -> tuple[Floats, flo
     return unit * (vectors @ step), float(-along @ step)
 
 
-def _others_moved(problem: Problem, state: State) -> tuple[float, Floats, Floats]:
-    """Give v'Pv of all but the rays, with its slope and curvature under small similarity transformations."""
+def _others_moved(problem: Problem, state: State, weighted: Integers) -> tuple[float, Floats, Floats]:
+    """Give v'Pv of all but the rays, with its slope and curvature under small similarity transformations.
+
+    weighted: points with observations of their own.
+    """
     design, reduced = problem.design, _reduced_moves(problem, state)
-    weighted = np.flatnonzero(design.prior_weight.any(axis=(1, 2)))
     points = _displacements(state.points[weighted] - state.centre.mean(axis=0))
     off, weight = state.points[weighted] - design.prior_points[weighted], design.prior_weight[weighted]
     pull = np.einsum("nab,nb->na", weight, off)
     chi_squared, slope = float(np.sum(off * pull)), np.einsum("nak,na->k", points, pull)
     curvature = np.einsum("nak,nab,nbl->kl", points, weight, points)
     for rows in placing_equations(problem, state).values():
-        if reduced[rows.column].any():
-            by_column = csr_array(
-                (rows.coefficient, rows.column, rows.start), (len(rows.residual), len(reduced))
-            )
-            moves = by_column @ reduced
+        moved = reduced[rows.column]
+        if moved.any():
+            moves = np.add.reduceat(rows.coefficient[:, None] * moved, rows.start[:-1])
             chi_squared += rows.chi_squared()
             slope += moves.T @ (rows.weight * rows.residual)
             curvature += moves.T @ (rows.weight[:, None] * moves)
