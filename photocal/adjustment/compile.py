@@ -81,7 +81,7 @@ def compile_usual() -> None:
 
 
 def _followed(network: Network, solution: Solution) -> None:
-    """Do what an analysis does with the factor, and what steps do that would leave a bent valley."""
+    """Do what an analysis does with the factor, and what steps around a bend need."""
     at = factored(network, solution.state)
     ones = score(at, solution.residuals, np.ones((1, *solution.residuals.shape)))
     followed_by(at, ones.steps, ones.moved)

@@ -1,6 +1,7 @@
 """Matches between the features of two images: ratio test, cross check, epipolar geometry."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -152,7 +153,7 @@ def mutual_matches(first: Bytes, second: Bytes, ratio: float, windows: Windows |
     there = np.zeros(len(a), dtype=np.int64)
     best, second_best = np.full((2, len(a)), -1.0, dtype=np.float32)
     back = np.full(len(b), -1.0, dtype=np.float32)
-    for start, end, spans in zip(windows.begins, windows.begins[1:], windows.spans, strict=False):
+    for (start, end), spans in zip(pairwise(windows.begins), windows.spans, strict=True):
         near = np.concatenate([np.arange(low, high) for low, high in spans])
         if not len(near):
             continue
