@@ -44,6 +44,9 @@ _PIECES = {
         "adjusting the cameras": (0.5, 0.2, 0.0, 0.0, 0.0),
     }
 }
+# Stages that adjust again what a piece of work has adjusted, and how long they take beside it: a block whose
+# images move while they are read, or whose valley is bent, takes ten times as long as others.
+_AGAIN = {"adjusting the cameras": {"calibration": 0.2, "analysis": 0.8}}
 # Of a ray in the files of a block.
 _OCTETS = {"observations.csv": 45.0, "observations.parquet": 20.0}
 # Work that takes longer than expected has at least this share of what it took before it.
@@ -101,6 +104,10 @@ def expected(
     return {name: last.get(name) or usual(name) for name in stages}
 
 
+def _scaled(shares: Mapping[str, float], seconds: float) -> dict[str, float]:
+    return {name: share * seconds for name, share in shares.items()}
+
+
 class Course:
     """What a run has done, is doing and has before it; it is asked from beside the work."""
 
@@ -123,6 +130,8 @@ class Course:
         self._pieces_took, self._pieces_meant = 0.0, 0.0
         self._done, self._total = 0.0, float("nan")
         self._share = 0.0
+        # Seconds that stages take for what a piece of this run has adjusted.
+        self._again = dict[str, float]()
         # What is seen of the pace is weighed against so many seconds as expected, and what a run before took.
         as_expected_s = 0.5
         self._took = self._meant = as_expected_s + seen_s
@@ -133,7 +142,8 @@ class Course:
     def begin(self, stage: str, expected_s: float = 0.0) -> None:
         """Begin with a stage; `expected_s` is of one that was not expected."""
         self._stage, self._title, self._stage_began = stage, "", self._clock()
-        self._expected = self._ahead.pop(stage, expected_s)
+        more = self._again.get(stage, 0.0) if self._ahead.get(stage) else 0.0
+        self._expected = self._ahead.pop(stage, expected_s) + more
         self._done, self._total, self._piece_began = 0.0, math.nan, self._stage_began
         usual = self._pieces.get(stage, {})
         whole = sum(usual.values())
@@ -165,6 +175,8 @@ class Course:
                 self._done += amount
 
             yield advance
+        if self._trust < 1.0 and title in _AGAIN:
+            self._again = _scaled(_AGAIN[title], self._clock() - self._piece_began)
         meant = self._open.pop(title, None)
         if meant is not None:
             now = self._clock()
@@ -218,7 +230,11 @@ class Course:
             # A stage that takes longer than expected tells of the pace before it ends.
             told = self._pieces_meant or (piece_left is not None and self._title in self._open)
             pace = max(pace, self._pace(stage_s + (left if told else 0.0), self._expected))
+        again = self._again
+        if self._trust < 1.0 and piece_left is not None and self._title in _AGAIN:
+            again = _scaled(_AGAIN[self._title], piece_s + piece_left)
         left += pace * sum(self._ahead.values())
+        left += sum(seconds for stage, seconds in again.items() if self._ahead.get(stage))
         # What turns out to be longer stops the bar and does not turn it back.
         self._share = max(self._share, elapsed / (elapsed + left) if elapsed + left > 0.0 else 0.0)
         piece_share = share if known else None
