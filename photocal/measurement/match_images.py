@@ -32,7 +32,7 @@ from photocal.measurement.patch_matching import ImageSource
 from photocal.measurement.tracks import Tracks, join_tracks, of_images
 
 # Raised whenever the meaning of cached results changes: of features, of matches.
-FEATURES, MATCHES = 3, 4
+FEATURES, MATCHES = 4, 4
 # Peak memory of a process that detects features, of 3 to 24 megapixels the same (their pictures are reduced),
 # and of the one that joins them.
 WORKER_BYTES, OWN_BYTES = 1.2e9, 1.0e9
