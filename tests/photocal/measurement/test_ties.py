@@ -66,6 +66,26 @@ def test_features_stand_where_the_blobs_are(longest: int) -> None:
         assert nearest < 0.1
 
 
+def test_the_finest_features_are_detected_where_they_are_kept() -> None:
+    """A picture that shows enough features when it is reduced is not examined in full size."""
+    picture = _texture(4)
+    longest = max(picture.shape)
+    whole = detect(picture, FeatureSettings(most=100_000, longest_px=longest, part=1.0))
+    half = detect(picture, FeatureSettings(most=100_000, longest_px=longest // 2, part=1.0))
+    few, many = len(half.scale) // 2, 2 * len(half.scale)
+    assert len(whole.scale) > many
+    # Rich enough: those of the half, the coarsest ones. Too poor: those of the whole, the finest among them.
+    rich = detect(picture, FeatureSettings(most=few, longest_px=longest))
+    poor = detect(picture, FeatureSettings(most=many, longest_px=longest))
+    assert len(rich.scale) == few
+    assert rich.scale.min() >= half.scale.min()
+    assert len(poor.scale) == many
+    assert {tuple(place) for place in poor.pixels.tolist()} <= {tuple(p) for p in whole.pixels.tolist()}
+    # A picture that is only a little longer than the part stays whole.
+    hardly = detect(picture, FeatureSettings(most=few, longest_px=longest * 2 - longest // 2, part=0.6))
+    assert {tuple(place) for place in hardly.pixels.tolist()} <= {tuple(p) for p in whole.pixels.tolist()}
+
+
 def test_plain_images_have_no_features() -> None:
     found = detect(np.full((64, 80), 90, np.uint8), FeatureSettings())
     assert found.pixels.shape == (0, 2)
