@@ -10,6 +10,7 @@ Run: `make evidence`, or `python -m tests.evidence.other_flights [NAME ...]`.
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import sys
@@ -221,6 +222,8 @@ def main(wanted: Sequence[str]) -> None:
     """Run the study."""
     found = []
     with tempfile.TemporaryDirectory() as scratch:
+        # What an earlier version has left in the cache of the user says nothing of this one.
+        os.environ["XDG_CACHE_HOME"] = str(Path(scratch) / "cache")
         for own in SETS:
             if wanted and own.name not in wanted:
                 continue
