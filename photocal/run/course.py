@@ -28,7 +28,7 @@ _USUAL = {
     "certificate": (0.9, 0.0, 0.0, 0.0, 0.002),
 }
 _OTHER = (5.0, 0.0, 0.0, 0.0, 0.0)
-# Pieces that not all projects have.
+# Pieces that not all projects have. That targets without a code take as long as those with one is assumed.
 CODED, PLAIN, CONTROL = "looking for coded targets", "looking for targets", "adjusting with control"
 # The same for the pieces of work of a stage in their order.
 _PIECES = {
@@ -192,6 +192,12 @@ class Course:
         """Tell how many times as long as expected work takes here, with a stage that has not ended."""
         return math.pow((self._took + more_s) / (self._meant + more_meant_s), self._trust)
 
+    def _least_left(self, since: float) -> float:
+        """Time left of a piece that has worked so long without telling of any progress."""
+        # Of few steps each takes about as long as the first, which has not ended.
+        few = 10.0
+        return since * max(UNCOUNTED, self._total - 1.0 if self._total <= few else 0.0)
+
     def _left_of_pieces(self, now: float, share: float, piece_left: float | None) -> float:
         """Time left of a stage whose pieces are known: of the piece at work, then of those after it."""
         took, meant = self._pieces_took, self._pieces_meant
@@ -206,7 +212,7 @@ class Course:
         if not at_work:
             return max(others - since, piece_left or 0.0, OVERDUE * since)
         if piece_left is None:
-            return max(pace * at_work - since, UNCOUNTED * since) + others
+            return max(pace * at_work - since, self._least_left(since)) + others
         # Until a fifth of the piece is done, what was expected of it counts as well.
         own = min(share / 0.2, 1.0)
         return own * piece_left + (1.0 - own) * max(pace * at_work - since, piece_left) + others
@@ -231,8 +237,9 @@ class Course:
             told = self._pieces_meant or (piece_left is not None and self._title in self._open)
             pace = max(pace, self._pace(stage_s + (left if told else 0.0), self._expected))
         again = self._again
-        if self._trust < 1.0 and piece_left is not None and self._title in _AGAIN:
-            again = _scaled(_AGAIN[self._title], piece_s + piece_left)
+        if self._trust < 1.0 and self._title in _AGAIN and self._title in self._open:
+            of_piece = self._least_left(piece_s) if piece_left is None else piece_left
+            again = _scaled(_AGAIN[self._title], piece_s + of_piece)
         left += pace * sum(self._ahead.values())
         left += sum(seconds for stage, seconds in again.items() if self._ahead.get(stage))
         # What turns out to be longer stops the bar and does not turn it back.

@@ -53,7 +53,10 @@ def told(project: Path) -> tuple[list[Told], float, float]:
             now = json.loads(line).get("progress") if line.startswith("{") else None
             if now:
                 lines.append(Told(at_s, now["left_s"], now["stage"], now["title"]))
-        _, _, usage = os.wait4(process.pid, 0)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode:
+            raise SystemExit(f"{project}: the run ended with {process.returncode}")
         whole = time.monotonic() - began
     return lines, whole, usage.ru_maxrss / 1024
 
@@ -80,7 +83,7 @@ def row(name: str, lines: list[Told], whole: float, peak: float) -> str:
 
 
 def pieces(lines: list[Told], whole: float) -> str:
-    """Write how long each piece of work took, to the two seconds of the lines."""
+    """Write how long each piece of work took, to the second between two lines."""
     begins: dict[str, float] = {}
     for now in lines:
         begins.setdefault(f"{now.stage}: {now.title}", now.at_s)
