@@ -106,7 +106,7 @@ def _settled(
     network: Network, solution: Solution, report: Report | None, *, changed: bool
 ) -> tuple[Network, Solution]:
     """Adjust until the sigmas of gusts belong to the readouts; `solution` is of a network before a change."""
-    if not changed and _belong(network, _room(network, solution)):
+    if not changed and _belong(network, _room(solution, _free(network))):
         return network, solution
     state, moved = solution.state, changed
     if changed:
@@ -122,7 +122,7 @@ def _settled(
         network, moved = _with_values(network, settling), True
         before, state = pairs, minimum_of(network, report, state, _ROUGHLY)[1].state
     solution = adjust(network, report, state) if moved else solution
-    room = _room(network, solution)
+    room = _room(solution, free)
     if _belong(network, room):
         return network, solution
     network = _with_values(network, room)
@@ -138,12 +138,17 @@ def _free(network: Network) -> list[int]:
     ]
 
 
-def _room(network: Network, solution: Solution) -> dict[int, float]:
+def with_room(network: Network, solution: Solution, cameras: Iterable[int]) -> Network:
+    """Let gusts move the images of some cameras as far as their readouts tell."""
+    return _with_values(network, _room(solution, cameras))
+
+
+def _room(solution: Solution, cameras: Iterable[int]) -> dict[int, float]:
     """Readouts that gusts get their room by."""
     # Gusts get room for so many sigmas of the readout beside itself. Where both come out short, its error e
     # and sigma s together, e / s has a variance of 1 + 9 (s / readout)^2, to second order.
     room_sigmas = 3.0
-    variance = {k: float(solution.camera_covariance[k, READOUT, READOUT]) for k in _free(network)}
+    variance = {k: float(solution.camera_covariance[k, READOUT, READOUT]) for k in cameras}
     return {
         k: float(np.sqrt(solution.cameras[k, READOUT] ** 2 + room_sigmas**2 * v)) for k, v in variance.items()
     }

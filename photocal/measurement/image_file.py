@@ -206,7 +206,7 @@ def read_grey(path: Path) -> Grey:
             return values.astype(np.uint16) if sixteen_bits else values.astype(np.float32)
         if image.mode == "F":
             return np.asarray(image, dtype=np.float32)
-        return np.asarray(image.convert("L"), dtype=np.uint8)
+        return np.asarray(image if image.mode == "L" else image.convert("L"), dtype=np.uint8)
 
 
 def as_eight_bit(grey: Grey) -> Bytes:

@@ -22,13 +22,8 @@ from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.image_file import BLACK, WHITE, as_eight_bit, read_grey
 from photocal.measurement.match_images import SAME, ImageTracks
 from photocal.measurement.oriented_ties import Oriented
-from photocal.measurement.tie_adjustment import (
-    AdjustedTies,
-    by_ray,
-    camera_figures,
-    pixel_residuals,
-    with_released_c,
-)
+from photocal.measurement.released_c import camera_figures, with_released_c
+from photocal.measurement.tie_adjustment import AdjustedTies, by_ray, pixel_residuals
 from photocal.measurement.tie_block import GROSS
 
 # Of `measurement.json`.

@@ -23,6 +23,7 @@ from photocal.measurement.tie_adjustment import (
     adjust_ties,
     assembled,
     ray_rms_px,
+    shutters_closed,
     with_vibration,
     without_readouts,
 )
@@ -44,10 +45,7 @@ _POLYNOMIALS = slice(PARAMETERS.index("K1"), PARAMETERS.index("P4") + 1)
 
 def with_shutters_closed(held: AdjustedTies) -> AdjustedTies:
     """Leave untested shutters closed until the lens is chosen: a wrong one looks like a readout."""
-    cameras = tuple(
-        camera if camera.rolling else replace(camera, shutter="global") for camera in held.start.cameras
-    )
-    return replace(held, start=replace(held.start, cameras=cameras))
+    return replace(held, start=replace(held.start, cameras=shutters_closed(held.start.cameras)))
 
 
 def with_chosen_lenses(

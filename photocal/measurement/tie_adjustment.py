@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from photocal.base.policy import policy
 from photocal.block.model import Block, Images
 from photocal.block.network import NetworkOfBlock, assemble
 from photocal.block.results.adjusted import given_exposures, given_points
-from photocal.geometry.camera import PARAMETERS, Camera, among
+from photocal.geometry.camera import Camera, among
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.measurement.features import made_once
@@ -42,8 +42,6 @@ _ENOUGH = 1e-6
 # Three rays give a pose that nothing checks.
 FEWEST_RAYS = 6
 Solved = tuple[Block, NetworkOfBlock, Solution]
-# A parameter of a camera, and the sigma with which it is observed, in its unit.
-Also = tuple[str, float]
 
 
 @dataclass(frozen=True)
@@ -317,6 +315,13 @@ def _opened(start: Block, given: tuple[Camera, ...]) -> Block:
     return replace(start, cameras=tuple(cameras))
 
 
+def reopened(adjusted: AdjustedTies, given: Sequence[Camera]) -> AdjustedTies:
+    """An adjustment with closed shutters, those given as unknown open again, with what moves in them."""
+    block = _opened(adjusted.block, tuple(given))
+    assembly, state = assembled(block, adjusted.values)
+    return replace(adjusted, block=block, assembly=assembly, solution=replace(adjusted.solution, state=state))
+
+
 def assembled(block: Block, poses: Floats) -> tuple[NetworkOfBlock, State]:
     """Make the network of a block with tie points, and the state to start from, where its rays meet.
 
@@ -404,6 +409,11 @@ def _held(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
     return tuple(replace(camera, estimated=np.zeros_like(camera.estimated)) for camera in cameras)
 
 
+def shutters_closed(cameras: Sequence[Camera]) -> tuple[Camera, ...]:
+    """The cameras with shutters that are not tested, unless they are known to roll."""
+    return tuple(camera if camera.rolling else replace(camera, shutter="global") for camera in cameras)
+
+
 def without_readouts(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
     """The cameras as if no shutter rolled: what is left of it goes into the residuals."""
     readout = among("readout")
@@ -443,95 +453,3 @@ def by_ray(assembly: NetworkOfBlock, solution: Solution) -> tuple[Floats, Floats
 def ray_rms_px(adjusted: AdjustedTies) -> float:
     """What is left in the rays, each as its redundancy shows it, px."""
     return float(adjusted.tie_sigma * np.sqrt(adjusted.solution.variance_factor))
-
-
-def camera_figures(adjusted: AdjustedTies, freed: Solution | None) -> list[dict[str, Any]]:
-    """Parameters of each camera, and what its principal distance becomes when it is released.
-
-    It is released after the last gross error was taken out: before, errors would go into it.
-
-    freed: of `with_released_c`.
-    """
-    solution, block = adjusted.solution, adjusted.block
-    figures = []
-    for k, camera in enumerate(block.cameras):
-        sigma = np.sqrt(np.diag(solution.camera_covariance[k]))
-        figures.append(
-            {
-                "camera": camera.id,
-                "unit": camera.unit,
-                "parameters": {
-                    n: float(v) for n, v in zip(PARAMETERS, solution.cameras[k], strict=True) if v
-                },
-                "sigma": {n: float(s) for n, s in zip(PARAMETERS, sigma, strict=True) if n in camera.free},
-                "held": [n for n in (*PARAMETERS[:3], "K1") if n not in camera.free],
-                "released": None if freed is None or "c" in camera.free else _released(adjusted, freed, k),
-            }
-        )
-    return figures
-
-
-def with_released_c(
-    adjusted: AdjustedTies, loosely: float = 1.0, also: Sequence[Also] = ()
-) -> Solution | None:
-    """Adjust with free principal distances; None where the block does not determine them.
-
-    loosely: factor of the sigmas of positions and angles.
-    also: parameters that are freed with c where a lens is estimated, each observed as it is with a sigma.
-    """
-    # Where nobody knows the lens, nobody knows its principal point: held at the middle it takes c along, by
-    # ten times what c would then be said to be uncertain by.
-    network = adjusted.assembly.network
-    cameras = tuple(_released_lens(camera, also) for camera in network.cameras)
-    exposures = replace(network.exposures, sigma=loosely * network.exposures.sigma)
-    try:
-        return adjust(replace(network, cameras=cameras, exposures=exposures))
-    except PhotocalError:
-        return None
-
-
-def _released_lens(camera: Camera, also: Sequence[Also]) -> Camera:
-    if not camera.free:
-        return replace(camera, estimated=camera.estimated | among("c"))
-    prior = camera.prior_sigma.copy()
-    for name, sigma in also:
-        held = among(name) & ~camera.estimated
-        prior[held] = np.minimum(prior[held], sigma)
-    free = among("c", "x0", "y0", *(name for name, _ in also))
-    return replace(camera, estimated=camera.estimated | free, prior_sigma=prior)
-
-
-def told_by_rays(freed: Solution | None, loosely: Solution | None) -> Solution | None:
-    """Of two adjustments that with loose positions, where these pull c by more than errors of each could.
-
-    What positions have in common (a time offset, a lever arm, the air) stands in none of their sigmas. But
-    for it the difference has the difference of both variances (Hausman 1978).
-    """
-    if freed is None or loosely is None:
-        return freed
-    # In sigmas of the difference.
-    pulled = 3.0
-    away = freed.cameras[:, 0] - loosely.cameras[:, 0]
-    more = loosely.camera_covariance[:, 0, 0] - freed.camera_covariance[:, 0, 0]
-    return loosely if (away**2 > pulled**2 * np.maximum(more, 0.0)).any() else freed
-
-
-def _released(adjusted: AdjustedTies, freed: Solution, k: int) -> dict[str, Any]:
-    solution = adjusted.solution
-    change = float(freed.cameras[k, 0] / solution.cameras[k, 0] - 1)
-    view = -solution.state.rotation[:, 2].mean(axis=0)
-    view /= np.linalg.norm(view)
-    depth = (solution.points - solution.exposures[:, 3:].mean(axis=0)) @ view
-    low, high = np.quantile(depth, [0.05, 0.95])
-    # A principal distance that leaves its start value by more than this is not what the lens has: errors of
-    # the model (rolling shutter, lens, positions) go into what the block does not determine.
-    credible = 0.05
-    return {
-        "c": float(freed.cameras[k, 0]),
-        "sigma": float(np.sqrt(freed.camera_covariance[k, 0, 0])),
-        "change": change,
-        # Extent of the points along the mean viewing direction over their mean distance.
-        "relief": float((high - low) / abs(depth.mean())),
-        "variance_factor": float(freed.variance_factor),
-        "credible": abs(change) < credible,
-    }

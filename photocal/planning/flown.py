@@ -90,7 +90,7 @@ def flown_block(
     smear = smear_px(exposure, speed, gsd)
     rays = np.bincount(np.concatenate([*seen, np.zeros(0, np.int64)]), minlength=len(ground.places))
     side = _side_overlaps(images.station, height, strip, seen, parts)
-    inside = _below_the_flight(images.station, ground)
+    inside = below_the_flight(images.station, ground)
     return FlownBlock(images.names, strip, height, gsd, tilt, forward, side, smear, ground, rays, inside)
 
 
@@ -313,7 +313,7 @@ def _side_overlaps(
     return overlaps
 
 
-def _below_the_flight(station: Floats, ground: GroundCells) -> Flags:
+def below_the_flight(station: Floats, ground: GroundCells) -> Flags:
     """Cells within the hull of the stations; of a single strip, those within a cell of it."""
     from scipy.spatial import QhullError
 

@@ -2,7 +2,7 @@
 
 Writes `docs/evidence/quick_c.md`. Flights of the simulated test field are seen by tie points of reduced
 pictures, and c is released as a debrief does: beside the principal point alone, and with what else c depends
-on (pixels that are not square or a shutter that rolls unnoticed, a lens out of centre).
+on (pixels that are not square, a lens out of centre, a shutter that rolls and what gusts move in it).
 
 Run: `make evidence`, or `python -m tests.evidence.quick_c [FLIGHTS]`.
 """
@@ -20,7 +20,8 @@ import numpy as np
 from acquire.simulate.world.configuration import read_configuration
 from photocal.exchange.pinhole import Pinhole, from_pinhole
 from photocal.geometry.camera import among
-from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties, told_by_rays, with_released_c
+from photocal.measurement.released_c import told_by_rays, with_released_c
+from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties, reopened, shutters_closed
 from photocal.measurement.tie_block import tracks_of
 from photocal.run.debrief.pictures import ALSO
 from tests.simulated import FLIGHT, block_of, true_poses, world_of
@@ -29,13 +30,19 @@ OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "quick_c.md"
 FLIGHTS = 20
 # Of features in pictures of 1824 px that are reduced to 640 px, px; of single-frequency receivers, m.
 SIGMA_PX, POSITION_M = 0.8, np.array([1.5, 1.5, 3.0])
-CAMERAS = {"square pixels": 1.0, "sides that differ by 0.05 %": 1.0005}
+# Ratio of the sides of a pixel, and readout, s.
+CAMERAS = {
+    "square pixels": (1.0, 0.0),
+    "sides that differ by 0.05 %": (1.0005, 0.0),
+    "readout of 10 ms": (1.0, 0.01),
+    "readout of 30 ms": (1.0, 0.03),
+}
 
 
-def adjusted(seed: int, sides: float) -> tuple[AdjustedTies, float]:
+def adjusted(seed: int, sides: float, readout_s: float) -> tuple[AdjustedTies, float]:
     """A flight as reduced pictures orient it, with c held 0.4 % off, and the true c, mean of both sides."""
     camera = read_configuration(FLIGHT).camera.model_dump(exclude_unset=True)
-    camera["fx"] = sides * camera["fy"]
+    camera["fx"], camera["readout_s"] = sides * camera["fy"], readout_s
     observing: dict[str, Any] = {"sigma_px": SIGMA_PX, "ties": 1200}
     world = world_of(FLIGHT, seed=seed, camera=camera, observing=observing)
     c = 0.5 * (camera["fx"] + camera["fy"])
@@ -46,13 +53,14 @@ def adjusted(seed: int, sides: float) -> tuple[AdjustedTies, float]:
     _, tracks = tracks_of(block.observations, np.ones(len(block.observations.image), dtype=np.bool_))
     nothing = np.zeros(0, dtype=np.int64)
     start = replace(block, points=block.points.only(nothing), observations=block.observations.rows(nothing))
-    return adjust_ties(start, true_poses(world), tracks), c
+    start = replace(start, cameras=shutters_closed(start.cameras))
+    return reopened(adjust_ties(start, true_poses(world), tracks), block.cameras), c
 
 
-def errors(flights: int, sides: float) -> Iterator[tuple[float, float, float, float]]:
+def errors(flights: int, sides: float, readout_s: float) -> Iterator[tuple[float, float, float, float]]:
     """Error and standard deviation of c, px, of each flight: beside the principal point, and as released."""
     for seed in range(1, flights + 1):
-        made, c = adjusted(seed, sides)
+        made, c = adjusted(seed, sides, readout_s)
         row = []
         for also in ((), ALSO):
             told = told_by_rays(with_released_c(made, 1.0, also), with_released_c(made, 10.0, also))
@@ -74,11 +82,11 @@ def main() -> None:
         "| camera | released with c | mean error, px | its standard error | sigma, px | rms |",
         "|---|---|---|---|---|---|",
     ]
-    for name, sides in CAMERAS.items():
-        found = np.array([*errors(flights, sides)])
+    for name, (sides, readout_s) in CAMERAS.items():
+        found = np.array([*errors(flights, sides, readout_s)])
         for released, (error, sigma) in {
             "x0, y0": found[:, :2].T,
-            "x0, y0, P1, P2, B1": found[:, 2:].T,
+            "x0, y0, P1, P2, B1, readout": found[:, 2:].T,
         }.items():
             figures = [error.mean(), error.std(ddof=1) / np.sqrt(flights), np.median(sigma)]
             rms = float(np.sqrt(np.mean((error / sigma) ** 2)))

@@ -36,7 +36,7 @@ _PATIENCE_S = 10.0
 _FEWEST = 6
 # All are oriented anew when their number has grown by this factor, or none has come for so long, s: orienting
 # all after each would take time with the square of their number.
-_GROWN, _QUIET_S = 4 / 3, 10.0
+_GROWN, _QUIET_S = 1.5, 10.0
 # How often the folder is looked into after the end, until a picture that had just come is at rest.
 _LAST_LOOKS = 2
 
@@ -92,7 +92,7 @@ def follow(
 
     The verdict so far is written whenever it changes. Positions are those that the pictures state: the log is
     still being recorded. What all say together is judged in the background, from where it was judged last,
-    when there are a third more pictures or no more come; the last verdict, after `stop`, is that of all.
+    when there are half as many pictures more or no more come; the last verdict, after `stop`, is that of all.
 
     workers: pictures that are examined at the same time; each takes memory.
     report: takes each verdict.

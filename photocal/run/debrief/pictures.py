@@ -24,12 +24,8 @@ from photocal.measurement.match_images import FEATURES, MatchingPlan, match_all
 from photocal.measurement.oriented_ties import first_orientation
 from photocal.measurement.picture_tests import judge_pictures
 from photocal.measurement.position_files import Origin, local_places
-from photocal.measurement.tie_adjustment import (
-    AdjustedTies,
-    camera_figures,
-    told_by_rays,
-    with_released_c,
-)
+from photocal.measurement.released_c import camera_figures, told_by_rays, with_released_c
+from photocal.measurement.tie_adjustment import AdjustedTies, reopened, shutters_closed
 from photocal.measurement.tie_block import start_block
 from photocal.navigation.exposures import Exposures
 
@@ -163,10 +159,10 @@ _CHANGED_SIGMAS, _CHANGED_SHARE = 4.0, 5e-4
 # Positions are held so many times more loosely to see whether they pull c.
 _LOOSE = 10.0
 # What else c depends on that a first calibration does not tell apart from nothing: pixels that are not
-# square, or a shutter that rolls without being noticed (10 ms at 8 m/s over 80 m), and a lens out of centre.
-ALSO = (("B1", 1e-3), ("P1", np.inf), ("P2", np.inf))
+# square, a lens out of centre, and a shutter that rolls. Of cameras on small aircraft that takes some 30 ms.
+ALSO = (("B1", 1e-3), ("P1", np.inf), ("P2", np.inf), ("readout", 0.03))
 # Pictures that each one is matched with.
-_PARTNERS = 12
+_PARTNERS = 8
 
 
 @dataclass(frozen=True)
@@ -225,7 +221,10 @@ def orient_quickly(
         kept = None if before is None or before.left_out else before
         places, origin = local_places(facts, None if kept is None else kept.origin)
         start = start_block(facts, places, "debrief")
-        start = replace(start, cameras=tuple(_known(camera, last) for camera in start.cameras))
+        given = tuple(_known(camera, last) for camera in start.cameras)
+        # A readout is looked for once, when all gross errors are out: in each round it would take nine tenths
+        # of the time.
+        start = replace(start, cameras=shutters_closed(given))
         # Without a cache for each: no other run orients just these pictures.
         first = first_orientation(start, tracks, None, None if kept is None else kept.adjusted)
         adjusted = first.adjusted
@@ -234,8 +233,9 @@ def orient_quickly(
         above = float(np.median(state.exposures[:, 5]) - np.median(state.points[:, 2]))
         height = origin[2] + float(np.median(adjusted.values[:, 5])) - above
         ground = height if adjusted.start.datum != "free" else np.nan
-        freed = with_released_c(adjusted, 1.0, ALSO)
-        loosely = with_released_c(adjusted, _LOOSE, ALSO)
+        flown = reopened(adjusted, given)
+        freed = with_released_c(flown, 1.0, ALSO)
+        loosely = with_released_c(flown, _LOOSE, ALSO)
         cameras = camera_figures(adjusted, told_by_rays(freed, loosely))
         joined = len(adjusted.start.images.names)
         return Quick(joined, first.left_out, cameras, ground, adjusted, origin)

@@ -37,7 +37,7 @@ from photocal.navigation.exposure_run import ExposureRun
 from photocal.navigation.exposures import Exposures, names_cell, orientations
 from photocal.navigation.rig import CameraOnBody
 from photocal.planning.area import LocalPlane
-from photocal.planning.flown import FlownBlock, flown_block, gaps, level_ground
+from photocal.planning.flown import FlownBlock, below_the_flight, flown_block, gaps, level_ground
 from photocal.run.debrief import pictures
 from photocal.run.debrief.determined import Determined, determined
 from photocal.run.debrief.pictures import PictureQuality, Quick, picture_findings
@@ -93,8 +93,8 @@ def coverage(
     strip, good = strips(seconds, velocity)[0], np.flatnonzero(usable[rows])
     # The ground below all exposures, but shown by the good ones alone.
     ground = level_ground(every, ground_m)
-    whole, block = flown_block(every, strip, ground), flown_block(every.only(good), strip[good], ground)
-    block = replace(block, inside=whole.inside)
+    block = flown_block(every.only(good), strip[good], ground)
+    block = replace(block, inside=below_the_flight(station, ground))
     area = ground.cell_m**2
     holes = np.array([(east, north) for east, north, _ in gaps(block, LEAST_COVER)]).reshape(-1, 2)
     degrees = np.column_stack(plane.to_degrees(holes)) if len(holes) else holes

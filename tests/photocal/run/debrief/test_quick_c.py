@@ -10,7 +10,7 @@ import pytest
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.solution import Solution
 from photocal.findings.texts import catalogue
-from photocal.measurement.tie_adjustment import told_by_rays
+from photocal.measurement.released_c import told_by_rays
 from photocal.run.debrief.verdict import measured_text
 from tests.photocal.networks import convergent, lens, observe
 
