@@ -410,8 +410,8 @@ def adjust(block: Block, *, snooping: Literal["w", "tau"] | None = None, compone
     >>> bool(0 < camera.sigma_of("c") < 0.01 * camera.value("c"))
     True
     """
+    from photocal.block.options import Wanted
     from photocal.block.results.adjusted import adjust_network
-    from photocal.block.results.more_tables import Wanted
 
     return adjust_network(block, snooping, Wanted(components=components))
 

@@ -25,7 +25,7 @@ from photocal.base.console import (
 )
 from photocal.base.errors import ConfigurationError
 from photocal.base.progress_bars import progress
-from photocal.block.options import PartsOptions
+from photocal.block.options import PartsOptions, Wanted
 from photocal.report.options import CertificateOptions
 
 
@@ -43,19 +43,8 @@ def adjust(
     snoop: Annotated[
         str, option("Search for gross errors: `w` (a priori sigmas) or `tau` (a posteriori).")
     ] = "",
-    ellipses: Annotated[
-        float | None, option("Write error ellipses and ellipsoids of this probability, such as 0.95.")
-    ] = None,
-    reliability: Annotated[
-        bool, option("Write the smallest errors that the tests detect.", "--reliability")
-    ] = False,
-    components: Annotated[
-        bool, option("Estimate the sigma of each group of observations and use it.", "--components")
-    ] = False,
-    joint: Annotated[
-        str, option("Write the joint covariance of `image:NAME,point:NAME,camera:ID,head:CAMERA,mounting`.")
-    ] = "",
     *,
+    wanted: Wanted,
     apart: PartsOptions,
     answering: Answering,
 ) -> None:
@@ -67,16 +56,12 @@ def adjust(
     from photocal.block.results.adjusted import adjust_block
     from photocal.block.results.folder import result_json
     from photocal.block.results.in_parts import adjust_block_in_parts
-    from photocal.block.results.more_tables import Wanted, parse_joint
     from photocal.exchange.formats import read_any_block
     from photocal.findings.texts import catalogue, spoken
 
     if snoop not in ("", "w", "tau"):
         raise ConfigurationError(f"--snoop {snoop} is not known", "use w or tau")
     test = cast("Literal['w', 'tau'] | None", snoop or None)
-    if ellipses is not None and not 0 < ellipses < 1:
-        raise ConfigurationError(f"--ellipses {ellipses:g} is not a probability", "give 0.95 for 95 %")
-    wanted = Wanted(ellipses, reliability, components, parse_joint(joint))
     if apart.parts and (test or wanted != Wanted()):
         raise ConfigurationError(
             "--parts goes with no other figures than the usual ones",

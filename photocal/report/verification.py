@@ -13,9 +13,9 @@ from typing import Any
 from photocal.analysis.analyse_run import analyse_run
 from photocal.base.files import digest
 from photocal.block.model import InputFile
+from photocal.block.options import Wanted
 from photocal.block.results.adjusted import adjust_block
 from photocal.block.results.folder import CARRIED, RESULT, BlockSource, carry
-from photocal.block.results.more_tables import Wanted
 from photocal.exchange.formats import read_any_block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, findings_of

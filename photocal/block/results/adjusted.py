@@ -36,8 +36,9 @@ from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block
 from photocal.block.motion import require_motion
 from photocal.block.network import NetworkOfBlock, assemble, behind_cameras, plane_per_unit
+from photocal.block.options import Wanted
 from photocal.block.results.folder import write_result
-from photocal.block.results.more_tables import Wanted, more_figures, write_more
+from photocal.block.results.more_tables import more_figures, write_more
 from photocal.block.results.result import (
     AdjustedHead,
     AdjustedLasers,

@@ -1,6 +1,5 @@
 """Tables of a run folder that are made when they are asked for."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,44 +20,13 @@ from photocal.base.ellipses import (
     mean_precision,
     spheres,
 )
-from photocal.base.errors import ConfigurationError
 from photocal.base.policy import policy
 from photocal.base.text_tables import write_table
 from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock, plane_per_unit
+from photocal.block.options import Wanted
 from photocal.block.results.result import AdjustedPoints
 from photocal.geometry.camera import OWN
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What is asked for beside the tables that every run has.
-
-    ellipses: probability of error ellipses and ellipsoids of the points.
-    reliability: smallest errors that the tests find, and what smaller ones would do.
-    components: estimate the variances of the groups of observations and adjust with them.
-    joint: unknowns whose joint covariance is written.
-    """
-
-    ellipses: float | None = None
-    reliability: bool = False
-    components: bool = False
-    joint: tuple[tuple[str, str], ...] = ()
-
-
-def parse_joint(text: str) -> tuple[tuple[str, str], ...]:
-    """Read `image:12,camera:P4P,head:NIR,mounting`; raises ConfigurationError for a kind that is none."""
-    chosen = []
-    for part in filter(None, (part.strip() for part in text.split(","))):
-        kind, _, name = part.partition(":")
-        if kind not in ("image", "point", "camera", "head", "mounting") or bool(name) == (kind == "mounting"):
-            raise ConfigurationError(
-                f"{part!r} names no unknowns",
-                "use image:NAME, point:NAME, camera:ID, head:CAMERA or mounting, with commas between",
-                where="--joint",
-            )
-        chosen.append((kind, name))
-    return tuple(chosen)
 
 
 def more_figures(
@@ -118,7 +86,7 @@ def write_more(
         for name, table in _reliability(block, assembly, solution).items():
             _write(folder / name, table)
     if wanted.joint:
-        unknowns, covariance = joint_covariance(factored(assembly.network, solution.state), wanted.joint)
+        unknowns, covariance = joint_covariance(factored(assembly.network, solution.state), wanted.unknowns)
         scale = np.array([unknown.scale for unknown in unknowns])
         names = [f"{unknown.name} ({unknown.unit})" if unknown.unit else unknown.name for unknown in unknowns]
         matrix = covariance * np.outer(scale, scale)

@@ -15,9 +15,9 @@ import pytest
 
 from photocal.base.errors import ConfigurationError
 from photocal.block.camera_setup import CameraKeys, make_camera
+from photocal.block.options import Wanted, parse_joint
 from photocal.block.results.adjusted_block import adjusted_block
 from photocal.block.results.folder import read_result
-from photocal.block.results.more_tables import Wanted, parse_joint
 from photocal.products.oriented import oriented
 from tests.photocal.blocks import adjusted_json
 
@@ -32,7 +32,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("more") / "run"
-    wanted = Wanted(0.95, reliability=True, joint=(("image", "3"), ("camera", "dcs460"), ("point", "1")))
+    wanted = Wanted(ellipses=0.95, reliability=True, joint="image:3,camera:dcs460,point:1")
     adjusted_json(DEMO, folder, wanted=wanted)
     return folder
 

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
 from photocal.base.errors import InputMalformedError, NotSignedError
+from photocal.block.options import Wanted
 from photocal.block.results.adjusted import adjust_block
 from photocal.block.results.folder import BlockSource
-from photocal.block.results.more_tables import Wanted
 from photocal.commands.cli import app
 from photocal.report.issue import read_record
 from photocal.report.verification import as_certified, differences, record_of, repeated

@@ -9,7 +9,7 @@ import pytest
 
 import photocal
 from photocal.block.results.adjusted import adjust_network
-from photocal.block.results.more_tables import Wanted
+from photocal.block.options import Wanted
 from photocal.findings.finding import of_global_test
 from tests.evidence.judging import fly
 from tests.independent.flights import Design, Errors
