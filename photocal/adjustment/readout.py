@@ -34,8 +34,8 @@ SETTLED = 0.02
 ROUNDS = 5
 # Squared distance to the minimum, in units of the standard deviations, that may be left meanwhile.
 _ROUGHLY = 1e-3
-# Readouts that nobody has stated were found in 34 iterations or fewer (six recorded flights): what takes more
-# is not borne in the end, after the tenfold time.
+# Readouts that nobody has stated were found so nearly in 34 iterations or fewer (six recorded flights): what
+# takes more is not borne in the end, after the tenfold time.
 _TRIAL = 40
 _LENS = tuple(PARAMETERS.index(name) for name in ("c", "x0", "y0"))
 
@@ -112,9 +112,9 @@ def _settled(
     if not changed and _belong(network, _room(solution, _free(network))):
         return network, solution
     state, moved = solution.state, changed
+    roughly = _given_up(report) if changed else report
     if changed:
-        report = _given_up(report)
-        state = minimum_of(network, report, state, _ROUGHLY)[1].state
+        state = minimum_of(network, roughly, state, _ROUGHLY)[1].state
     free = _free(network)
     before = dict[int, tuple[float, float]]()
     for _ in range(ROUNDS):
@@ -124,7 +124,7 @@ def _settled(
         pairs = {k: (float(network.cameras[k].values[READOUT]), v) for k, v in values.items()}
         settling = {k: _where_they_meet(before.get(k), pair) for k, pair in pairs.items()}
         network, moved = _with_values(network, settling), True
-        before, state = pairs, minimum_of(network, report, state, _ROUGHLY)[1].state
+        before, state = pairs, minimum_of(network, roughly, state, _ROUGHLY)[1].state
     solution = adjust(network, report, state) if moved else solution
     room = _room(solution, free)
     if _belong(network, room):

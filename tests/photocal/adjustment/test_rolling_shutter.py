@@ -184,6 +184,19 @@ def test_a_readout_that_the_network_does_not_bear_leaves_it_as_it_was() -> None:
     assert readouts == ()
 
 
+def test_a_readout_that_takes_too_long_to_be_found_leaves_the_network_as_it_was(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _, network = flights.case("attitudes", 3, readout_s=0.03, **SMALL)
+    solution = adjust(network)
+    assert with_readouts(network, solution)[0] is not network
+    monkeypatch.setattr("photocal.adjustment.readout._TRIAL", 1)
+    after, found, readouts = with_readouts(network, solution)
+    assert after is network
+    assert found is solution
+    assert readouts == ()
+
+
 def test_what_its_own_estimate_contradicts_is_no_readout(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few images may be tested wrongly; freed, a global shutter says that it is one."""
     truth, network = flights.case("positions", 11, readout_s=0.0, **SMALL)

@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 
 import photocal
-from photocal.block.results.adjusted import adjust_network
 from photocal.block.options import Wanted
+from photocal.block.results.adjusted import adjust_network
 from photocal.findings.finding import of_global_test
 from tests.evidence.judging import fly
 from tests.independent.flights import Design, Errors
