@@ -21,11 +21,11 @@ _USUAL = {
     "ppk": (5.0, 0.0, 0.0, 0.0, 0.0),
     "exposures": (1.0, 0.01, 0.0, 0.0, 0.0),
     "block": (0.05, 0.01, 0.0, 0.0, 0.003),
-    "calibration": (0.3, 0.0, 0.0, 0.0, 0.01),
+    "calibration": (0.7, 0.0, 0.0, 0.0, 0.016),
     "flown": (0.3, 0.01, 0.0, 0.0, 0.0),
-    "georeferencing": (0.7, 0.0, 0.0, 0.0, 0.02),
+    "georeferencing": (2.0, 0.0, 0.0, 0.0, 0.035),
     "analysis": (0.3, 0.0, 0.0, 0.0, 0.022),
-    "certificate": (0.7, 0.0, 0.0, 0.0, 0.002),
+    "certificate": (0.9, 0.0, 0.0, 0.0, 0.002),
 }
 _OTHER = (5.0, 0.0, 0.0, 0.0, 0.0)
 # Pieces that not all projects have. That targets without a code take as long as those with one is assumed.
@@ -34,14 +34,14 @@ CODED, PLAIN, CONTROL = "looking for coded targets", "looking for targets", "adj
 _PIECES = {
     "measurements": {
         "detecting features": (2.0, 0.35, 0.005, 0.0, 0.0),
-        "matching pairs of images": (0.2, 0.0, 0.0, 0.04, 0.0),
+        "matching pairs of images": (0.5, 0.0, 0.0, 0.04, 0.0),
         CODED: (0.0, 0.06, 0.018, 0.0, 0.0),
         PLAIN: (0.0, 0.06, 0.018, 0.0, 0.0),
         "orienting the pictures": (1.5, 0.2, 0.0, 0.0, 0.0),
-        "matching tie points precisely": (0.2, 0.1, 0.02, 0.0, 0.0),
+        "matching tie points precisely": (0.3, 0.12, 0.022, 0.0, 0.0),
         "adjusting the tie points": (0.1, 0.12, 0.0, 0.0, 0.0),
         CONTROL: (0.1, 0.1, 0.0, 0.0, 0.0),
-        "adjusting the cameras": (0.5, 0.1, 0.0, 0.0, 0.0),
+        "adjusting the cameras": (0.5, 0.2, 0.0, 0.0, 0.0),
     }
 }
 # Stages that adjust again what a piece of work has adjusted, and how long they take beside it: a block whose
