@@ -17,6 +17,7 @@ from photocal.measurement.tie_adjustment import AdjustedTies
 
 # A parameter of a camera, and the sigma with which it is observed, in its unit.
 Also = tuple[str, float]
+_POINT = ("x0", "y0")
 # Left of the way to the minimum: a hundredth of a standard deviation.
 _NEAR = 1e-4
 
@@ -53,8 +54,9 @@ def with_released_c(
     """Adjust with free principal distances; None where the block does not determine them.
 
     loosely: factor of the sigmas of positions and angles.
-    also: parameters that are freed with c where a lens is estimated, each observed as it is with a sigma; a
-        readout only of cameras whose shutter is unknown. Where one is found, gusts move the images in it.
+    also: parameters that are freed with c where a lens is estimated, each observed as it is with a sigma; of
+        a lens that is held only the principal point, and a readout only of cameras whose shutter is unknown.
+        Where one is found, gusts move the images in it.
     """
     # Where nobody knows the lens, nobody knows its principal point: held at the middle it takes c along, by
     # ten times what c would then be said to be uncertain by.
@@ -86,14 +88,15 @@ def _found_to_roll(before: Network, network: Network, solution: Solution) -> lis
 
 def _released_lens(camera: Camera, also: Sequence[Also], *, flown: bool) -> Camera:
     if not camera.free:
-        return replace(camera, estimated=camera.estimated | among("c"))
+        point = (name for name, _ in also if name in _POINT)
+        return replace(camera, estimated=camera.estimated | among("c", *point))
     asked = flown and camera.shutter == "unknown"
     also = [(name, sigma) for name, sigma in also if name != "readout" or asked]
     prior = camera.prior_sigma.copy()
     for name, sigma in also:
         held = among(name) & ~camera.estimated
         prior[held] = np.minimum(prior[held], sigma)
-    free = among("c", "x0", "y0", *(name for name, _ in also))
+    free = among("c", *_POINT, *(name for name, _ in also))
     return replace(camera, estimated=camera.estimated | free, prior_sigma=prior)
 
 

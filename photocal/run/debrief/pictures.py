@@ -158,9 +158,12 @@ def _blurred(looks: Sequence[PictureQuality]) -> list[PictureQuality]:
 _CHANGED_SIGMAS, _CHANGED_SHARE = 4.0, 5e-4
 # Positions are held so many times more loosely to see whether they pull c.
 _LOOSE = 10.0
-# What else c depends on that a first calibration does not tell apart from nothing: pixels that are not
-# square, a lens out of centre, and a shutter that rolls. Of cameras on small aircraft that takes some 30 ms.
-ALSO = (("B1", 1e-3), ("P1", np.inf), ("P2", np.inf), ("readout", 0.03))
+# What else c depends on that a first calibration does not tell apart from nothing: the principal point, also
+# where a certificate states the lens; a lens out of centre, pixels that are not square, and a shutter that
+# rolls. Of cameras on small aircraft that takes some 30 ms.
+ALSO = (
+    ("x0", np.inf), ("y0", np.inf), ("P1", np.inf), ("P2", np.inf), ("B1", 1e-3), ("readout", 0.03),
+)  # fmt: skip
 # Pictures that each one is matched with.
 _PARTNERS = 8
 

@@ -72,6 +72,20 @@ def test_a_shutter_that_rolls_is_found_with_c_and_gusts_take_their_part() -> Non
     assert told.camera_covariance[0, 0, 0] > 1.5 * before.camera_covariance[0, 0, 0]
 
 
+@pytest.mark.slow
+def test_beside_a_lens_that_a_certificate_states_the_principal_point_is_released_too() -> None:
+    made, _ = flown_blindly(1, 1.0, 0.0)
+    network = made.assembly.network
+    held = tuple(replace(camera, estimated=np.zeros_like(camera.estimated)) for camera in network.cameras)
+    stated = replace(made, assembly=replace(made.assembly, network=replace(network, cameras=held)))
+    alone, beside = with_released_c(stated), with_released_c(stated, 1.0, ALSO)
+    assert alone is not None
+    assert beside is not None
+    released = [np.flatnonzero(one.camera_covariance[0].diagonal()).tolist() for one in (alone, beside)]
+    assert released == [[0], [0, 1, 2]]
+    assert beside.camera_covariance[0, 0, 0] > alone.camera_covariance[0, 0, 0]
+
+
 @pytest.mark.parametrize(("language", "said"), [("en", "c 839.1 ± 3.9 px"), ("pt-BR", "c 839,1 ± 3,9 px")])
 def test_c_is_said_with_the_decimals_of_its_standard_deviation(language: str, said: str) -> None:
     figures = {"camera": "m4e", "unit": "px", "c": 839.136, "sigma": 3.94}
