@@ -208,7 +208,9 @@ def judged(fault: Fault, site: Path, slipped: Path) -> str:
 
 def main(pictures: int, folder: Path) -> None:
     """Fly, debrief with each fault, write the page."""
-    os.environ["XDG_CACHE_HOME"] = str(folder / "cache")
+    cache = folder / "cache"
+    first = "in the first flight, too" if cache.exists() else "except in the first flight"
+    os.environ["XDG_CACHE_HOME"] = str(cache)
     tables = plan(pictures)
     site = fly(folder / "flight", tables)
     slips = {"faults": ["cycle_slips"], "fault_sizes": {"slips_per_hour": 720.0}}
@@ -224,7 +226,7 @@ def main(pictures: int, folder: Path) -> None:
         f"Made by `python -m tests.evidence.debrief {pictures}`: {count} pictures of 5472 x 3648 px,",
         "simulated with their logs, without a fault and with one fault at a time. Named: a finding reports",
         "the fault. Other: further findings that are more than notes. Seconds: features of unchanged",
-        "pictures are reused, except in the first flight. With the card of another flight, that is",
+        f"pictures are reused, {first}. With the card of another flight, that is",
         "reported as the reason why exposures are unknown.",
         "",
         "| fault | named | verdict | other | s |",
