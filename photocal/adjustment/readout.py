@@ -36,9 +36,9 @@ ROUNDS = 5
 _ROUGHLY = 1e-3
 # A readout on trial that the network does not bear is approached without an end: in so many iterations v'Pv
 # falls by less than this, a part of what makes a readout significant, and steps by less than so many times.
-# Of the long trials on recorded flights all that crawled so ended in a nearly singular network; none of 31
-# simulated flights with readouts of 3 to 40 ms and an unknown shutter crawls.
-_CRAWL, _LITTLE, _SHORTER = 10, 4.0, 10.0
+# Of the long trials on recorded flights all that stagnated so ended in a nearly singular network; none of 31
+# simulated flights with readouts of 3 to 40 ms and an unknown shutter stagnates.
+_STAGNANT, _LITTLE, _SHORTER = 10, 4.0, 10.0
 _LENS = tuple(PARAMETERS.index(name) for name in ("c", "x0", "y0"))
 
 
@@ -114,7 +114,7 @@ def _settled(
     if not changed and _belong(network, _room(solution, _free(network))):
         return network, solution
     state, moved = solution.state, changed
-    roughly = _given_up(report) if changed else report
+    roughly = _unless_stagnant(report) if changed else report
     if changed:
         state = minimum_of(network, roughly, state, _ROUGHLY)[1].state
     free = _free(network)
@@ -135,8 +135,8 @@ def _settled(
     return network, adjust(network, report, solution.state)
 
 
-def _given_up(report: Report | None) -> Report:
-    """Report that gives a trial up which crawls."""
+def _unless_stagnant(report: Report | None) -> Report:
+    """Report that ends a trial which stagnates."""
     steps = list[Iteration]()
 
     def line(iteration: Iteration) -> None:
@@ -144,8 +144,8 @@ def _given_up(report: Report | None) -> Report:
         if iteration.number == 1:
             steps.clear()
         steps.append(iteration)
-        if len(steps) >= 2 * _CRAWL:
-            before = steps[-1 - _CRAWL]
+        if len(steps) >= 2 * _STAGNANT:
+            before = steps[-1 - _STAGNANT]
             gain = before.chi_squared - iteration.chi_squared
             if gain < _LITTLE and iteration.decrement * _SHORTER > before.decrement:
                 raise NotConvergedError(
@@ -314,7 +314,7 @@ def left_by_movement(network: Network, solution: Solution) -> float:
     if not doubtful or network.exposures.motion is None:
         return 1.0
     try:
-        minimum = minimum_of(_with(network, doubtful), _given_up(None), solution.state, _ROUGHLY)[1]
+        minimum = minimum_of(_with(network, doubtful), _unless_stagnant(None), solution.state, _ROUGHLY)[1]
     except (IllPosedError, NotConvergedError):
         return 1.0
     return minimum.iterations[-1].chi_squared / solution.chi_squared

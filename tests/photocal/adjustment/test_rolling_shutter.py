@@ -11,13 +11,15 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.normal import diagonal_addresses, normal_equations, other_equations, prepare
 from photocal.adjustment.readout import (
     Readout,
+    _unless_stagnant,
     adjust_moving_images,
     rolls_whatever_the_lens,
     with_moving_images,
     with_readouts,
 )
 from photocal.adjustment.solution import Solution
-from photocal.adjustment.solver import gradient, moved_along
+from photocal.adjustment.solver import Iteration, gradient, moved_along
+from photocal.base.errors import NotConvergedError
 from photocal.geometry.camera import PARAMETERS
 from tests.photocal import flights
 
@@ -184,17 +186,36 @@ def test_a_readout_that_the_network_does_not_bear_leaves_it_as_it_was() -> None:
     assert readouts == ()
 
 
-def test_a_trial_that_crawls_leaves_the_network_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_trial_that_stagnates_leaves_the_network_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
     _, network = flights.case("attitudes", 3, readout_s=0.03, **SMALL)
     solution = adjust(network)
     assert with_readouts(network, solution)[0] is not network
     # Each step of this trial would have to gain, and to shorten the next, by more than any does.
-    for name, value in (("_CRAWL", 1), ("_LITTLE", np.inf), ("_SHORTER", np.inf)):
+    for name, value in (("_STAGNANT", 1), ("_LITTLE", np.inf), ("_SHORTER", np.inf)):
         monkeypatch.setattr(f"photocal.adjustment.readout.{name}", value)
     after, found, readouts = with_readouts(network, solution)
     assert after is network
     assert found is solution
     assert readouts == ()
+
+
+def steps(gains: list[float], shrinking: float) -> list[Iteration]:
+    """Iterations that gain so much of v'Pv each, with squared steps that shrink by a factor."""
+    chi_squared = 15000.0 - np.cumsum(gains)
+    return [Iteration(k + 1, float(v), shrinking**k, 0.0) for k, v in enumerate(chi_squared)]
+
+
+def test_steady_steps_that_gain_nothing_stagnate() -> None:
+    """Not so those that still gain, that end soon, or that another adjustment has made."""
+    trial = _unless_stagnant(None)
+    for kept in (steps([1.0] * 60, 0.9), steps([0.1] * 30, 0.1), steps([0.1] * 15, 0.9)):
+        for iteration in kept:
+            trial(iteration)
+    *before, twentieth = steps([0.1] * 20, 0.9)
+    for iteration in before:
+        trial(iteration)
+    with pytest.raises(NotConvergedError, match="20 iterations"):
+        trial(twentieth)
 
 
 def test_what_its_own_estimate_contradicts_is_no_readout(monkeypatch: pytest.MonkeyPatch) -> None:
