@@ -165,6 +165,11 @@ def inlined(function: Function) -> Function:
     return _compiled(function, **_LEAN, forceinline=True)
 
 
+def summing(function: Function) -> Function:
+    """Compile a function that makes no arrays and whose sums may be added in any order, several at once."""
+    return _compiled(function, **{**_LEAN, "fastmath": {"contract", "reassoc"}})
+
+
 def allocating(function: Function) -> Function:
     """Compile a function that makes arrays."""
     return _compiled(function, **_COMMON)

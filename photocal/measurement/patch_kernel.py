@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.base.arrays import Floats
-from photocal.base.compiled import allocating, compiled, inlined
+from photocal.base.compiled import allocating, compiled, inlined, summing
 
 Floats32 = NDArray[np.float32]
 
@@ -44,10 +44,10 @@ def match_patches(
     """
     count, side, _ = patches.shape
     size = (side - 2) ** 2
-    template, sample = np.empty(size), np.empty(size)
-    jacobian, inverse = np.empty((size, _UNKNOWNS)), np.empty((_UNKNOWNS, 2 * _UNKNOWNS))
+    template, jacobian = np.empty(size), np.empty((_UNKNOWNS, size))
+    inverse = np.empty((_UNKNOWNS, 2 * _UNKNOWNS))
     patch = Patch(side // 2, template, jacobian, inverse)
-    state, step, result = np.empty(_UNKNOWNS), np.empty(_UNKNOWNS), np.empty(2)
+    state, sums, result = np.empty(_UNKNOWNS), np.empty(3 + _UNKNOWNS), np.empty(2)
     for k in range(count):
         matched[k, 0], matched[k, 1], likeness[k] = np.nan, np.nan, 0.0
         length = _prepare(patches[k], template, jacobian)
@@ -56,7 +56,7 @@ def match_patches(
         state[0], state[1] = place[k, 0], place[k, 1]
         state[2], state[3] = affinity[k, 0, 0], affinity[k, 0, 1]
         state[4], state[5] = affinity[k, 1, 0], affinity[k, 1, 1]
-        _settle(image, patch, length, farthest, sample, state, step, result)
+        _settle(image, patch, length, farthest, sums, state, result)
         if not result[0] > 0:
             continue
         likeness[k] = result[0]
@@ -71,61 +71,53 @@ def match_patches(
         covariance[k, 1, 0] = covariance[k, 0, 1]
 
 
-@compiled
+@summing
 def _prepare(patch: Floats32, template: Floats, jacobian: Floats) -> float:
     """Fill the template and its derivatives to offset and affinity; return its length.
 
     Brightness and contrast are eliminated: all are made orthogonal to them.
     """
-    side = len(patch)
-    half = side // 2
-    n = 0
-    for r in range(1, side - 1):
-        for c in range(1, side - 1):
-            gx = 0.5 * (patch[r, c + 1] - patch[r, c - 1])
-            gy = 0.5 * (patch[r + 1, c] - patch[r - 1, c])
-            x, y = float(c - half), float(r - half)
-            template[n] = patch[r, c]
-            jacobian[n, 0], jacobian[n, 1] = gx, gy
-            jacobian[n, 2], jacobian[n, 3] = gx * x, gx * y
-            jacobian[n, 4], jacobian[n, 5] = gy * x, gy * y
-            n += 1
+    inner = len(patch) - 2
+    size, middle = inner * inner, 0.5 * (inner - 1)
+    for r in range(inner):
+        y, row = r - middle, r * inner
+        for c in range(inner):
+            x, n = c - middle, row + c
+            gx = 0.5 * (patch[r + 1, c + 2] - patch[r + 1, c])
+            gy = 0.5 * (patch[r + 2, c + 1] - patch[r, c + 1])
+            template[n] = patch[r + 1, c + 1]
+            jacobian[0, n], jacobian[1, n] = gx, gy
+            jacobian[2, n], jacobian[3, n] = gx * x, gx * y
+            jacobian[4, n], jacobian[5, n] = gy * x, gy * y
     mean = 0.0
-    for m in range(n):
+    for m in range(size):
         mean += template[m]
-    mean /= n
+    mean /= size
     squares = 0.0
-    for m in range(n):
+    for m in range(size):
         template[m] -= mean
         squares += template[m] * template[m]
     for j in range(_UNKNOWNS):
         mean, product = 0.0, 0.0
-        for m in range(n):
-            mean += jacobian[m, j]
-            product += jacobian[m, j] * template[m]
-        mean /= n
+        for m in range(size):
+            mean += jacobian[j, m]
+            product += jacobian[j, m] * template[m]
+        mean /= size
         part = product / squares if squares > 0.0 else 0.0
-        for m in range(n):
-            jacobian[m, j] -= mean + part * template[m]
+        for m in range(size):
+            jacobian[j, m] -= mean + part * template[m]
     return math.sqrt(squares)
 
 
-@compiled
+@summing
 def _inverted(jacobian: Floats, inverse: Floats) -> bool:
     """Put the inverse of the normal matrix into the right half (Gauss, Jordan); tell whether there is one."""
-    # The sums of a row grow side by side: each waits only for itself.
     for i in range(_UNKNOWNS):
-        a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for m in range(len(jacobian)):
-            slope = jacobian[m, i]
-            a += slope * jacobian[m, 0]
-            b += slope * jacobian[m, 1]
-            c += slope * jacobian[m, 2]
-            d += slope * jacobian[m, 3]
-            e += slope * jacobian[m, 4]
-            f += slope * jacobian[m, 5]
-        inverse[i, 0], inverse[i, 1], inverse[i, 2] = a, b, c
-        inverse[i, 3], inverse[i, 4], inverse[i, 5] = d, e, f
+        for j in range(i, _UNKNOWNS):
+            total = 0.0
+            for m in range(jacobian.shape[1]):
+                total += jacobian[i, m] * jacobian[j, m]
+            inverse[i, j] = inverse[j, i] = total
         for j in range(_UNKNOWNS):
             inverse[i, _UNKNOWNS + j] = 1.0 if i == j else 0.0
     xx, xy, yy = inverse[0, 0], inverse[0, 1], inverse[1, 1]
@@ -151,89 +143,96 @@ def _settle(
     patch: Patch,
     length: float,
     farthest: float,
-    sample: Floats,
+    sums: Floats,
     state: Floats,
-    step: Floats,
     result: Floats,
 ) -> None:
     """Improve place and affinity; give likeness and squares of the misfit, 0 if it does not settle.
 
     length: of the template.
     """
-    half, template, jacobian, inverse = patch
     x, y = state[0], state[1]
     result[0], result[1] = 0.0, 0.0
     settled = False
     iterations = 20
     settled_px = 0.01
     for _ in range(iterations):
-        power = _sampled(image, half, state, sample)
+        if not _summed(image, patch, state, sums):
+            return
+        power = sums[1] - sums[0] * sums[0] / len(patch.template)
         if power < _FLAT * _FLAT:
             return
         scale = length / math.sqrt(power)
-        squares, product = 0.0, 0.0
-        a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for m in range(len(sample)):
-            product += sample[m] * template[m]
-            miss = sample[m] * scale - template[m]
-            squares += miss * miss
-            a += jacobian[m, 0] * miss
-            b += jacobian[m, 1] * miss
-            c += jacobian[m, 2] * miss
-            d += jacobian[m, 3] * miss
-            e += jacobian[m, 4] * miss
-            f += jacobian[m, 5] * miss
-        step[0], step[1], step[2], step[3], step[4], step[5] = a, b, c, d, e, f
         # One look more than steps, so that likeness and misfit belong to the last place.
         if settled:
-            result[0], result[1] = product / (length * math.sqrt(power)), squares
+            like = sums[2] / (length * math.sqrt(power))
+            # Of two vectors of the template's length that enclose this cosine.
+            result[0], result[1] = like, 2.0 * length * length * (1.0 - like)
             return
-        moved = _composed(state, inverse, step)
+        moved = _composed(state, patch.inverse, sums, scale)
         if moved < 0 or (state[0] - x) ** 2 + (state[1] - y) ** 2 > farthest**2:
             return
         settled = moved < settled_px**2
 
 
-@compiled
-def _sampled(image: Floats32, half: int, state: Floats, sample: Floats) -> float:
-    """Fill the image's values under the patch, less their mean; return their squares, -1 outside."""
+@summing
+def _summed(image: Floats32, patch: Patch, state: Floats, sums: Floats) -> bool:
+    """Fill the sums of the image's values under the patch; false where it reaches outside.
+
+    These are: of themselves, of their squares, of products with the template and with its derivatives. All of
+    the patch is orthogonal to a constant, and its derivatives to the template: more is not needed for a step.
+    """
+    half, template, jacobian, _ = patch
     height, width = image.shape
     px, py, a, b, d, e = state[0], state[1], state[2], state[3], state[4], state[5]
     reach_x, reach_y = half * (abs(a) + abs(b)), half * (abs(d) + abs(e))
     if not (px >= reach_x and py >= reach_y and px + reach_x < width - 1 and py + reach_y < height - 1):
-        return -1.0
-    n, mean = 0, 0.0
-    for r in range(1 - half, half):
-        for c in range(1 - half, half):
-            x, y = px + a * c + b * r, py + d * c + e * r
-            i, j = int(x), int(y)
-            fx, fy = x - i, y - j
-            top = image[j, i] + fx * (image[j, i + 1] - image[j, i])
-            low = image[j + 1, i] + fx * (image[j + 1, i + 1] - image[j + 1, i])
-            sample[n] = top + fy * (low - top)
-            mean += sample[n]
-            n += 1
-    mean /= n
-    power = 0.0
-    for m in range(n):
-        sample[m] -= mean
-        power += sample[m] * sample[m]
-    return power
+        return False
+    # Small numbers keep the digits of the contrast.
+    usual = image[int(py), int(px)]
+    inner = 2 * half - 1
+    plain, squares, likeness = 0.0, 0.0, 0.0
+    s, t, u, v, w, z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for r in range(inner):
+        left, top, row = 1.0 - half, r + 1.0 - half, r * inner
+        x0, y0 = px + a * left + b * top, py + d * left + e * top
+        for c in range(inner):
+            x, y, n = x0 + a * c, y0 + d * c, row + c
+            i, j = np.int32(x), np.int32(y)
+            fx, fy = np.float32(x - i), np.float32(y - j)
+            upper = image[j, i] + fx * (image[j, i + 1] - image[j, i])
+            lower = image[j + 1, i] + fx * (image[j + 1, i + 1] - image[j + 1, i])
+            grey = np.float64(upper + fy * (lower - upper) - usual)
+            plain += grey
+            squares += grey * grey
+            likeness += grey * template[n]
+            s += grey * jacobian[0, n]
+            t += grey * jacobian[1, n]
+            u += grey * jacobian[2, n]
+            v += grey * jacobian[3, n]
+            w += grey * jacobian[4, n]
+            z += grey * jacobian[5, n]
+    sums[0], sums[1], sums[2] = plain, squares, likeness
+    sums[3], sums[4], sums[5], sums[6], sums[7], sums[8] = s, t, u, v, w, z
+    return True
 
 
 @inlined
-def _solved(inverse: Floats, right: Floats, i: int) -> float:
+def _solved(inverse: Floats, sums: Floats, scale: float, i: int) -> float:
     total = 0.0
     for j in range(_UNKNOWNS):
-        total += inverse[i, _UNKNOWNS + j] * right[j]
-    return total
+        total += inverse[i, _UNKNOWNS + j] * sums[3 + j]
+    return scale * total
 
 
 @compiled
-def _composed(state: Floats, inverse: Floats, right: Floats) -> float:
-    """Put the inverse of the patch's small change before the image's; return the square of the move."""
-    s, t = 1 + _solved(inverse, right, 2), _solved(inverse, right, 3)
-    p, q = _solved(inverse, right, 4), 1 + _solved(inverse, right, 5)
+def _composed(state: Floats, inverse: Floats, sums: Floats, scale: float) -> float:
+    """Put the inverse of the patch's small change before the image's; return the square of the move.
+
+    scale: factor of the image's values that gives them the contrast of the patch.
+    """
+    s, t = 1 + _solved(inverse, sums, scale, 2), _solved(inverse, sums, scale, 3)
+    p, q = _solved(inverse, sums, scale, 4), 1 + _solved(inverse, sums, scale, 5)
     area = s * q - t * p
     # A step that shrinks the patch more than this has gone astray.
     least_area = 0.2
@@ -242,7 +241,7 @@ def _composed(state: Floats, inverse: Floats, right: Floats) -> float:
     a, b, d, e = state[2], state[3], state[4], state[5]
     state[2], state[3] = (a * q - b * p) / area, (b * s - a * t) / area
     state[4], state[5] = (d * q - e * p) / area, (e * s - d * t) / area
-    u, v = _solved(inverse, right, 0), _solved(inverse, right, 1)
+    u, v = _solved(inverse, sums, scale, 0), _solved(inverse, sums, scale, 1)
     x, y = state[2] * u + state[3] * v, state[4] * u + state[5] * v
     state[0] -= x
     state[1] -= y

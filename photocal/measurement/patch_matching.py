@@ -19,7 +19,7 @@ from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.tracks import Tracks
 
 # Raised whenever the meaning of cached results changes.
-VERSION = 2
+VERSION = 3
 # Patches of 21 x 21 pixels: their outermost ring serves the derivatives.
 HALF = 11
 # Before matching, images are smoothed, over so many pixels: aliasing would bias the places.
@@ -112,12 +112,17 @@ def refine(
     for k, cut in enumerate(run_tasks(_cut_patches, tasks, processes, done, _at_hand)):
         patches[(surface.image == k) & inside] = cut
 
+    by_image = np.argsort(tracks.image, kind="stable")
+    ends = np.cumsum(np.bincount(tracks.image, minlength=len(sources)))[:-1]
+    shown = np.split(tracks.track[by_image], ends)
+
     def jobs() -> Iterator[tuple[str, ImageSource, tuple[_Rays, Floats32]]]:
         """Give the work of each image: its own rays and those of its partners."""
         # Image by image, while others are matched: all rays at once would need more memory than pictures do.
         for k, source in enumerate(sources):
             near = np.zeros(tracks.count, dtype=np.bool_)
-            near[tracks.track[np.isin(tracks.image, [*partners[k], k])]] = True
+            for partner in (*partners[k], k):
+                near[shown[partner]] = True
             rays = _expected(views, k, np.flatnonzero(near & inside & (surface.image != k)), surface)
             cut = patches[rays.track]
             yield source.key_of("matched", rays.place, rays.affinity, cut), source, (rays, cut)
@@ -140,7 +145,9 @@ def _surface(views: OrientedImages, tracks: Tracks, points: Floats) -> _Surface:
     """Where the images that look straightest at the tracks show them, in the middle of a pixel."""
     towards = _directions(views, tracks.image, points[tracks.track])
     mean = np.column_stack([np.bincount(tracks.track, towards[:, k], tracks.count) for k in range(3)])
-    order = np.lexsort((-np.einsum("nk,nk->n", towards, mean[tracks.track]), tracks.track))
+    # Two rays are as near to their mean: the first one, and not the one that rounding would choose.
+    along = np.round(np.einsum("nk,nk->n", towards, mean[tracks.track]), 9)
+    order = np.lexsort((-along, tracks.track))
     reference = order[np.r_[True, np.diff(tracks.track[order]) > 0]]
     middle, image = np.round(tracks.pixels[reference]), tracks.image[reference]
     # The surface at a track is taken as square to the mean direction to its images.
@@ -152,8 +159,8 @@ def _surface(views: OrientedImages, tracks: Tracks, points: Floats) -> _Surface:
     # Steps of about a pixel or a few keep the differences within the local linearity.
     axes = np.stack([first, np.cross(normal, first)], axis=1) * (1e-3 * distance)[:, None, None]
     miss = middle - views.project(image, points)
-    along = np.linalg.solve(_jacobians(views, image, points, axes), miss[..., None])[..., 0]
-    anchor = points + np.einsum("nk,nkj->nj", along, axes)
+    steps = np.linalg.solve(_jacobians(views, image, points, axes), miss[..., None])[..., 0]
+    anchor = points + np.einsum("nk,nkj->nj", steps, axes)
     to_axes = np.asarray(np.linalg.inv(_jacobians(views, image, anchor, axes)), dtype=np.float64)
     return _Surface(image, middle, anchor, axes, to_axes, _directions(views, image, anchor))
 
