@@ -191,7 +191,7 @@ def test_a_trial_that_stagnates_leaves_the_network_as_it_was(monkeypatch: pytest
     solution = adjust(network)
     assert with_readouts(network, solution)[0] is not network
     # Each step of this trial would have to gain, and to shorten the next, by more than any does.
-    for name, value in (("_STAGNANT", 1), ("_LITTLE", np.inf), ("_SHORTER", np.inf)):
+    for name, value in (("_STAGNANT", 1), ("_LITTLE", np.inf), ("_SHORTER", np.inf), ("_MUCH_LEFT", 0.0)):
         monkeypatch.setattr(f"photocal.adjustment.readout.{name}", value)
     after, found, readouts = with_readouts(network, solution)
     assert after is network
@@ -206,11 +206,16 @@ def steps(gains: list[float], shrinking: float) -> list[Iteration]:
 
 
 def test_steady_steps_that_gain_nothing_stagnate() -> None:
-    """Not so those that still gain, that end soon, or that another adjustment has made."""
-    trial = _unless_stagnant(None)
+    """Not so those that still gain, that end soon, or that another adjustment has made.
+
+    Nor those of a trial that has explained much already: they may lead to where the valley falls.
+    """
+    trial, explaining = _unless_stagnant(None, 15001.0), _unless_stagnant(None, 25000.0)
     for kept in (steps([1.0] * 60, 0.9), steps([0.1] * 30, 0.1), steps([0.1] * 15, 0.9)):
         for iteration in kept:
             trial(iteration)
+    for iteration in steps([0.1] * 60, 0.9):
+        explaining(iteration)
     *before, twentieth = steps([0.1] * 20, 0.9)
     for iteration in before:
         trial(iteration)
