@@ -3,7 +3,9 @@
 The first pair of a model: two images that see much of the same from different places.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -18,8 +20,8 @@ from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 
 # Pairs that are tested, trials, and images of a trial model.
 PAIRS, TRIALS, TRIAL_IMAGES = 24, 6, 4
-# Beyond this angle (radians) a wider base makes a pair no better.
-WIDE = np.radians(25.0)
+# Beyond this angle (radians) a wider base makes a pair no better, nor do more points in common than so many.
+WIDE, MANY_IN_COMMON = np.radians(25.0), 100
 # A trial is good when its rays miss by this share of the principal distance, and this share of them meets.
 CLOSE, MEETING = 1e-3, 0.7
 # Shares of the given principal distance that are tried where it gives no good one.
@@ -52,7 +54,7 @@ def _with_c(camera: Camera, share: float) -> Camera:
 
 def _best_trial(seen: Bearings, free: Flags, best: Model | None) -> Model | None:
     """The best of a few trials, and of one that was made before."""
-    for first, second, candidates in _pairs(seen, free)[:TRIALS]:
+    for first, second, candidates in islice(_pairs(seen, free), TRIALS):
         for candidate in candidates:
             trial = grown(_pair_model(seen, first, second, candidate), free, TRIAL_IMAGES)
             holds = trial.oriented.sum() >= 2 and trial.placed.any()
@@ -73,8 +75,8 @@ def _good(trial: Model) -> bool:
     return misfit(trial) < CLOSE and support(trial) > MEETING * count[count >= 3].sum()
 
 
-def _pairs(bearings: Bearings, free: Flags) -> list[tuple[int, int, list[RelativeOrientation]]]:
-    """Pairs with their relative orientations, the most promising first."""
+def _pairs(bearings: Bearings, free: Flags) -> Iterator[tuple[int, int, list[RelativeOrientation]]]:
+    """Give pairs with their relative orientations, the most promising first."""
     together = bearings.together().tocoo()
     image, other = together.coords
     use = (image < other) & free[image] & free[other] & (together.data >= FEWEST_PAIRS)
@@ -86,11 +88,16 @@ def _pairs(bearings: Bearings, free: Flags) -> list[tuple[int, int, list[Relativ
         a, b = int(image[use][k]), int(other[use][k])
         first, second = bearings.common(a, b)
         candidates = relative_orientations(bearings.slopes[first], bearings.slopes[second])
-        if candidates:
-            value = min(len(first), 100) * min(max(candidate.angle for candidate in candidates), WIDE)
+        if not candidates:
+            continue
+        value = min(len(first), MANY_IN_COMMON) * min(max(candidate.angle for candidate in candidates), WIDE)
+        # No other is better.
+        if value == MANY_IN_COMMON * WIDE:
+            yield a, b, candidates
+        else:
             pairs.append((value, a, b, candidates))
     pairs.sort(key=lambda entry: -entry[0])
-    return [(a, b, candidates) for _, a, b, candidates in pairs]
+    yield from ((a, b, candidates) for _, a, b, candidates in pairs)
 
 
 def _pair_model(bearings: Bearings, first: int, second: int, pair: RelativeOrientation) -> Model:
