@@ -181,6 +181,14 @@ class ImageTracks:
         )
 
 
+def too_few(
+    usable: int, total: int, left_out: Sequence[Mapping[str, str]], where: Path
+) -> InputNotFoundError:
+    """Make the refusal of pictures of which fewer than two can be used."""
+    reasons = "; ".join(f"{entry['image']}: {entry['reason']}" for entry in left_out[:3])
+    return InputNotFoundError(f"{usable} of {total} images can be used", reasons, where=where)
+
+
 def track_images(
     paths: Sequence[Path],
     plan: MatchingPlan,
@@ -210,11 +218,7 @@ def track_images(
     good = [k for k in good if first[k] == k]
     facts, keys = [given(pictures[k][1]) for k in good], tuple(keys[k] for k in good)
     if len(facts) < 2:
-        raise InputNotFoundError(
-            f"{len(facts)} of {len(paths)} images can be used",
-            "; ".join(f"{e['image']}: {e['reason']}" for e in left_out[:3]),
-            where=paths[0].parent,
-        )
+        raise too_few(len(facts), len(paths), left_out, paths[0].parent)
     pairs, rule = select_pairs(looking(facts), len(facts))
     with progress("matching pairs of images", len(pairs)) as done:
         tracks, counts = match_all(keys, pairs, plan, done)

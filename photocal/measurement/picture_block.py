@@ -42,7 +42,7 @@ from photocal.measurement.marks import (
     read_marks,
     with_marks,
 )
-from photocal.measurement.match_images import ImageTracks, MatchingPlan, track_images
+from photocal.measurement.match_images import ImageTracks, MatchingPlan, too_few, track_images
 from photocal.measurement.measurement_record import (
     MeasuredBlock,
     findings_of_marks,
@@ -273,6 +273,9 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     if project is not None:
         tracked, member = _with_cameras(tracked, project.cameras, known.camera_of)
         given = project.cameras, member
+        if len(tracked.facts) < 2:
+            where = known.paths[0].parent
+            raise too_few(len(tracked.facts), len(known.paths), tracked.left_out, where)
     control = known.control({image.name: image.size_px for image in tracked.facts})
     control, strays = _without_strays(control)
     start = _start(known, control, tracked.facts, given)

@@ -356,3 +356,19 @@ prior_sigma = { c = 10, x0 = 10, y0 = 10 }
     assert adjusted.cameras[0][1] == pytest.approx(
         8.0, abs=3.3 * np.sqrt(adjusted.camera_covariance[0][1, 1])
     )
+
+
+def test_pictures_of_no_camera_of_the_project_are_named(
+    tmp_path: Path, photocal: Callable[..., Answer]
+) -> None:
+    rng = np.random.default_rng(1)
+    for name in ("a", "b", "c"):
+        Image.fromarray(rng.integers(0, 255, (200, 300), dtype=np.uint8)).save(tmp_path / f"{name}.png")
+    (tmp_path / "project.toml").write_text(
+        '[project]\nname = "p"\ncrs = "local"\nheight = "local"\noutput = "work"\n[images]\nfolder = "."\n'
+        '[[camera]]\nid = "cam"\nmodel = "brown-ideal"\nunit = "px"\nsize_px = [400, 300]\n'
+        "parameters = { c = 400.0 }\n"
+    )
+    said = photocal("measure", tmp_path / "project.toml", "-o", tmp_path / "block", "--workers", 1)
+    assert said.code != 0
+    assert "0 of 3 images can be used; a.png: its 300 x 200 px are not those of camera cam" in said.err
