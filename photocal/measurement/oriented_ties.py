@@ -20,7 +20,7 @@ from photocal.measurement.control_fit import fit_control, not_used
 from photocal.measurement.features import made_once
 from photocal.measurement.image_file import left_out_entry
 from photocal.measurement.patch_matching import HALF, ImageSource, refine
-from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties
+from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties, adjusted_again
 from photocal.measurement.tie_block import (
     GROSS,
     intersected,
@@ -127,7 +127,7 @@ def _with_marks(alone: AdjustedTies, findings: list[Finding], marked: Block) -> 
         if len(fits.observations.image):
             final, fits, findings = _with_control(alone, fits, poses, findings)
         elif len(alone.start.points.names) < len(fits.points.names):
-            final = adjust_ties(fits, alone.values, alone.tracks).after(alone)
+            final = adjusted_again(alone, fits, alone.values).after(alone)
     final = _by_positions(final, stated)
     if final.start.datum != "free":
         as_stated, shifted = _as_stated(final.start, stated), _controlled(final.start)
@@ -142,7 +142,7 @@ def _with_control(
 ) -> tuple[AdjustedTies, Block, list[Finding]]:
     """Adjust anew with the control that fits, and give the block with it; without where it does not hold."""
     try:
-        adjusted = adjust_ties(fitted, poses, alone.tracks)
+        adjusted = adjusted_again(alone, fitted, poses)
     except PhotocalError as refusal:
         figures = {"refusal": refusal.what}
         findings.insert(0, not_used("control-refused", figures))
@@ -169,7 +169,7 @@ def _by_positions(adjusted: AdjustedTies, stated: Mapping[str, Floats]) -> Adjus
             break
         start = replace(adjusted.start, images=replace(images, sigma=better.sigma))
         try:
-            again = adjust_ties(start, adjusted.values, adjusted.tracks)
+            again = adjusted_again(adjusted, start, adjusted.values)
         except PhotocalError:
             break
         if again.start.datum == "free":

@@ -21,6 +21,7 @@ from photocal.measurement.oriented_ties import Oriented
 from photocal.measurement.tie_adjustment import (
     AdjustedTies,
     adjust_ties,
+    adjusted_again,
     assembled,
     ray_rms_px,
     shutters_closed,
@@ -321,7 +322,7 @@ def _without_needless_scales(
     if not needless:
         return released, needless
     start = replace(released.start, cameras=cameras)
-    return adjust_ties(start, released.values, released.tracks).after(released), needless
+    return adjusted_again(released, start, released.values).after(released), needless
 
 
 def release(
@@ -359,7 +360,7 @@ def release(
         if np.abs(ratio - 1.0).max() > another_c:
             poses = rescaled_poses(held.start, poses, held.tracks, ratio[start.images.camera])
         try:
-            released = adjust_ties(start, poses, held.tracks)
+            released = adjusted_again(held, start, poses)
             why = _not_borne(released, asked, cameras)
         except (IllPosedError, NotConvergedError):
             if held_here == holding[-1]:

@@ -64,9 +64,14 @@ class AdjustedTies:
     left_out: tuple[dict[str, str], ...]
 
     @property
+    def ray_sigma(self) -> Floats:
+        """Standard deviation of each ray of the tie points, px."""
+        return self.block.observations.sigma[-len(self.tracks.track) :, 0]
+
+    @property
     def tie_sigma(self) -> float:
         """Standard deviation of the rays of tie points, root mean square, px."""
-        return float(np.sqrt(np.mean(self.block.observations.sigma[-len(self.tracks.track) :] ** 2)))
+        return float(np.sqrt(np.mean(self.ray_sigma**2)))
 
     def after(self, before: Self) -> Self:
         """Count what an adjustment before this one has rejected and left out, too."""
@@ -152,13 +157,21 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks, cache: Path | None 
     # Patches are cut as the kept ones orient the images: what is left there would change which points match.
     near = _ENOUGH if cache is None else CONVERGED
     return made_once(
-        cache, AdjustedTies, (start, poses, tracks), lambda: _adjusted(start, poses, tracks, near)
+        cache, AdjustedTies, (start, poses, tracks), lambda: _adjusted(start, poses, tracks, None, near)
     )
 
 
-def _adjusted(start: Block, poses: Floats, tracks: Tracks, near: float) -> AdjustedTies:
+def adjusted_again(before: AdjustedTies, start: Block, poses: Floats) -> AdjustedTies:
+    """Adjust the rays that fitted an adjustment once more, with other control, cameras or sigmas.
+
+    It begins with the sigmas that the rays were found to have, and leaves out what it now shows to be wrong.
+    """
+    return _adjusted(start, poses, before.tracks, before.ray_sigma, _ENOUGH)
+
+
+def _adjusted(start: Block, poses: Floats, tracks: Tracks, sigma: Floats | None, near: float) -> AdjustedTies:
     total, given = len(tracks.track), start.cameras
-    ties = _fitting_ties(start, poses, tracks, near)
+    ties = _fitting_ties(start, poses, tracks, sigma, near)
     # Readouts that the network did not bear while rays still fell out are tested once more.
     ties, block = replace(ties, start=_opened(ties.start, given)).held()
     ties, block, solved = _where_rays_meet(ties, block, held=False)
@@ -181,38 +194,48 @@ def _adjusted(start: Block, poses: Floats, tracks: Tracks, near: float) -> Adjus
     return AdjustedTies(block, start, ties.tracks, values, assembly, solution, rejected, ties.left_out)
 
 
-def _fitting_ties(start: Block, poses: Floats, tracks: Tracks, near: float) -> _Ties:
+def _fitting_ties(start: Block, poses: Floats, tracks: Tracks, sigma: Floats | None, near: float) -> _Ties:
     """The rays that fit, with their sigmas, and the block as they leave it.
 
+    sigma: of the rays, where that is known: then the gross errors are out.
     near: squared distance to its minimum that a round may leave, see `adjust`; where it may leave some, the
         next one begins at the points of the last.
     """
-    ties, block = _Ties(start, poses, tracks, np.ones(len(tracks.track)), _nowhere(tracks)).held()
+    known = np.ones(len(tracks.track)) if sigma is None else sigma
+    ties, block = _Ties(start, poses, tracks, known, _nowhere(tracks)).held()
     as_oriented = replace(block, images=replace(block.images, values=ties.poses))
     ties, block = ties.some(fitting(as_oriented)[len(ties.start.observations.image) :]).held()
+    lost_before = np.inf
     for round_ in range(_ROUNDS):
         # Gross errors first: they must not go into the camera.
+        held = round_ == 0 and sigma is None
         try:
-            start, assembly, solution = _solved(ties.start, block, ties.poses, held=round_ == 0, near=near)
+            start, assembly, solution = _solved(ties.start, block, ties.poses, held=held, near=near)
         except (IllPosedError, NotConvergedError) as refusal:
             # Of a datum that positions hold loosely few gross errors make a valley without an end.
             if not _few_apart(refusal, block):
                 ties, block = _robustly(ties, block).held()
-            ties, block, (start, assembly, solution) = _where_rays_meet(ties, block, held=round_ == 0)
+            ties, block, (start, assembly, solution) = _where_rays_meet(ties, block, held=held)
         ties = ties.adjusted(start, assembly, solution)
         if near == CONVERGED:
             ties = replace(ties, places=_nowhere(ties.tracks))
         size, redundancy = by_ray(assembly, solution)
         tie_rays = slice(len(start.observations.image), None)
-        sigma = ray_sigmas(ties.tracks.scale, ties.tracks.image, size[tie_rays], redundancy[tie_rays])
+        own = ray_sigmas(ties.tracks.scale, ties.tracks.image, size[tie_rays], redundancy[tie_rays])
         # A residual shows the part of the error that the redundancy number says.
         standardised = size[tie_rays] / (
-            sigma * np.sqrt(2 * np.maximum(redundancy[tie_rays], policy.least_checked))
+            own * np.sqrt(2 * np.maximum(redundancy[tie_rays], policy.least_checked))
         )
-        good = standardised <= (GROSS if round_ else 2 * GROSS)
-        ties, block = replace(ties, sigma=sigma).some(good).held()
-        if round_ and np.mean(~good) <= FEW_LEFT:
+        good = standardised <= (2 * GROSS if held else GROSS)
+        if not held:
+            # Whether they roll is shown once, and asked again when all rays are chosen.
+            ties = replace(ties, start=replace(start, cameras=shutters_closed(start.cameras)))
+        ties, block = replace(ties, sigma=own).some(good).held()
+        lost = float(np.mean(~good))
+        # Gross errors become fewer; what does not is what the camera, or what is held of it, lacks.
+        if not held and (lost <= FEW_LEFT or lost >= lost_before):
             break
+        lost_before = np.inf if held else lost
     return ties
 
 
@@ -231,7 +254,7 @@ def with_vibration(adjusted: AdjustedTies) -> AdjustedTies:
         )
     )
     start = replace(adjusted.start, cameras=cameras)
-    return adjust_ties(start, adjusted.values, adjusted.tracks).after(adjusted)
+    return adjusted_again(adjusted, start, adjusted.values).after(adjusted)
 
 
 def _kept(start: Block, poses: Floats) -> Images:

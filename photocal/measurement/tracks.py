@@ -118,8 +118,8 @@ def spaced(tracks: Tracks, least_px: float) -> Tracks:
     their number.
     """
     pairs = [np.zeros((0, 2), dtype=np.int64)]
-    for image in np.unique(tracks.image):
-        in_image = np.flatnonzero(tracks.image == image)
+    by_image = np.argsort(tracks.image, kind="stable")
+    for in_image in np.split(by_image, np.flatnonzero(np.diff(tracks.image[by_image])) + 1):
         near = cKDTree(tracks.pixels[in_image]).query_pairs(least_px, output_type="ndarray")
         pairs.append(tracks.track[in_image][near])
     first, second = np.concatenate(pairs).T

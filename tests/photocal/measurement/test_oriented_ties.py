@@ -15,7 +15,7 @@ from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, Images
 from photocal.geometry.camera import PARAMETERS, camera, plane_to_pixel
 from photocal.geometry.oriented_images import OrientedImages, oriented_images
 from photocal.measurement.oriented_ties import _views, first_orientation, orient_ties
-from photocal.measurement.tie_adjustment import _Ties, _where_rays_meet, adjust_ties
+from photocal.measurement.tie_adjustment import _Ties, _where_rays_meet, adjust_ties, adjusted_again
 from photocal.measurement.tie_block import intersected, place, rescaled_poses, with_ties, without_single_rays
 from photocal.measurement.tie_orientation import oriented, position_sigmas
 from photocal.measurement.tracks import Tracks
@@ -310,3 +310,21 @@ def test_what_is_known_of_a_camera_stays_what_it_was() -> None:
     adjusted, last = once.start.cameras[0], again.start.cameras[0]
     assert abs(adjusted.value("c") - 918.0) > 0.1
     assert last.value("c") == pytest.approx(adjusted.value("c"), abs=0.02)
+
+
+def test_what_fitted_is_adjusted_again_from_its_sigmas() -> None:
+    """Rays of two sigmas and some gross errors: the second time none falls out, and nothing moves."""
+    rng = np.random.default_rng(8)
+    places = np.array([[3.0 * x, 4.0 * (x % 2), 40.0] for x in range(16)])
+    block, tracks = _block(places), _strip(places, rng)
+    worse, wrong = tracks.image % 2 == 1, rng.random(len(tracks.track)) < 0.02
+    noise = rng.normal(0, 1, tracks.pixels.shape)
+    pixels = tracks.pixels + noise * np.where(wrong, 20.0, worse)[:, None]
+    once = adjust_ties(block, np.hstack([np.zeros((16, 3)), places]), replace(tracks, pixels=pixels))
+    assert np.count_nonzero(wrong) * 0.9 < once.rejected
+    again = adjusted_again(once, once.start, once.values)
+    assert again.rejected <= 1e-3 * len(once.tracks.track)
+    sigma = np.sqrt(once.solution.variance_factor) * np.sqrt(
+        np.einsum("nii->ni", once.solution.exposure_covariance)
+    )
+    assert np.abs((again.values - once.values) / sigma).max() < 0.05
