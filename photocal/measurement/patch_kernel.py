@@ -166,8 +166,8 @@ def _settle(
         # One look more than steps, so that likeness and misfit belong to the last place.
         if settled:
             like = sums[2] / (length * math.sqrt(power))
-            # Of two vectors of the template's length that enclose this cosine.
-            result[0], result[1] = like, 2.0 * length * length * (1.0 - like)
+            # Of two vectors of this length that enclose this cosine, which rounding may put above 1.
+            result[0], result[1] = like, 2.0 * length * length * max(0.0, 1.0 - like)
             return
         moved = _composed(state, patch.inverse, sums, scale)
         if moved < 0 or (state[0] - x) ** 2 + (state[1] - y) ** 2 > farthest**2:

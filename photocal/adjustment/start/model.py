@@ -256,7 +256,7 @@ def held_to_given(model: Model) -> Model:
     seen = model.bearings
     first = [camera.value("c") for camera in seen.cameras]
     away = max(abs(given.value("c") / c - 1.0) for given, c in zip(seen.given, first, strict=True))
-    # An adjustment bears a step of so much.
+    # Of a difference that is just credible a quarter is longer than this.
     step = 0.05
     for share in (1.0,) if away < step else (0.25, 0.5, 0.75, 1.0):
         cameras = []

@@ -69,6 +69,20 @@ def test_matches_stand_where_an_affinity_puts_them() -> None:
     assert 0.5 < np.sqrt(np.mean(miss**2)) / np.sqrt(np.mean(claimed**2)) < 3
 
 
+def test_a_patch_matches_the_picture_it_was_cut_from_without_misfit() -> None:
+    """Rounding must not make the square of a misfit that is nothing negative: its root would be no number."""
+    picture, rng = _ground(5), np.random.default_rng(2)
+    middle = rng.integers(50, 850, (400, 2))
+    patches = np.array([picture[r - 11 : r + 12, c - 11 : c + 12] for c, r in middle])
+    identity = np.broadcast_to(np.eye(2), (400, 2, 2)).copy()
+    found, likeness, covariance = _match(patches, picture, middle.astype(float), identity)
+    assert found == pytest.approx(middle, abs=1e-4)
+    assert likeness == pytest.approx(np.ones(400), abs=1e-6)
+    variance = np.trace(covariance, axis1=1, axis2=2)
+    assert (variance >= 0.0).all()
+    assert variance.max() < 1e-8
+
+
 def test_nothing_is_found_where_there_is_nothing() -> None:
     flat = np.full((100, 100), 90, np.float32)
     edge = flat.copy()
