@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Flags, Floats, Integers
 from photocal.block.model import ObjectPoints
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.maker_camera import stated_camera
@@ -119,3 +119,20 @@ def _near(seen: Footprints, rows: Integers) -> tuple[Integers, Rule]:
         near &= ~known | (distance < useful * (radius[first] + radius[other]))
     pairs = np.column_stack([rows[first[near]], rows[other[near]]])
     return pairs, "footprints" if known.all() else "neighbours"
+
+
+def among_nearest(places: Floats, pairs: Integers, count: int) -> Flags:
+    """Tell which pairs have an image among the nearest of the other; all where places are not known.
+
+    places (images, 2 or 3).
+    pairs (n, 2).
+    count: how many of those that an image is paired with are its nearest.
+    returns (n,).
+    """
+    apart = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
+    order = np.lexsort((np.r_[apart, apart], pairs.T.ravel()))
+    image = pairs.T.ravel()[order]
+    begin = np.searchsorted(image, image)
+    near = np.zeros(2 * len(pairs), dtype=np.bool_)
+    near[order] = np.arange(len(image)) - begin < count
+    return np.asarray(near.reshape(2, -1).any(axis=0) | np.isnan(apart))

@@ -67,7 +67,11 @@ def tie_record(tracked: ImageTracks, oriented: Oriented) -> dict[str, Any]:
         "images": list(final.block.images.names),
         "turned_by_exif": [f.name for f in tracked.facts if f.orientation != 1],
         "left_out": [*tracked.left_out, *explained(oriented.left_out, paths, tracked.facts)],
-        "pairs": {"rule": tracked.rule, "examined": len(tracked.pairs), "verified": tracked.verified_pairs},
+        "pairs": {
+            "rule": tracked.rule,
+            "examined": tracked.matched_pairs,
+            "verified": tracked.verified_pairs,
+        },
         "tracks": {
             "of_features": tracked.tracks.count,
             "conflicts_removed": tracked.tracks.conflicts,

@@ -70,6 +70,15 @@ def join_tracks(features: Sequence[Features], pairs: Integers, matches: Sequence
     return tracks.some(~np.isin(track, bad))
 
 
+def in_common(tracks: Tracks, pairs: Integers, images: int) -> Integers:
+    """Number of tracks that both images of each pair show, shape (n,)."""
+    if not len(pairs) or not tracks.count:
+        return np.zeros(len(pairs), dtype=np.int64)
+    rays = np.ones(len(tracks.image), dtype=np.int32)
+    seen = csr_array((rays, (tracks.image, tracks.track)), shape=(images, tracks.count))
+    return np.asarray((seen @ seen.T)[pairs[:, 0], pairs[:, 1]], dtype=np.int64).ravel()
+
+
 def without_twins(tracks: Tracks, apart_px: float) -> Tracks:
     """Take out tracks that show a place again that a track with more rays shows."""
     rank = np.empty(tracks.count, dtype=np.int64)

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photocal.base.arrays import Integers
 from photocal.base.errors import PhotocalError
 from photocal.base.files import digest
 from photocal.base.policy import policy
@@ -19,7 +18,7 @@ from photocal.geometry.camera import Camera, held_camera
 from photocal.measurement.features import Arrays, FeatureSettings, cached, combined_key, detect
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import BLACK, WHITE, as_eight_bit, read_grey
-from photocal.measurement.image_pairs import select_pairs, stated_footprints
+from photocal.measurement.image_pairs import among_nearest, select_pairs, stated_footprints
 from photocal.measurement.match_images import FEATURES, MatchingPlan, match_all
 from photocal.measurement.oriented_ties import first_orientation
 from photocal.measurement.picture_tests import judge_pictures
@@ -217,7 +216,8 @@ def orient_quickly(
 
     before: an orientation of some of them, which is continued where it left none out.
     """
-    pairs = _of_nearest(facts, select_pairs(stated_footprints(facts), len(facts))[0])
+    pairs = select_pairs(stated_footprints(facts), len(facts))[0]
+    pairs = pairs[among_nearest(local_places(facts)[0], pairs, _PARTNERS)]
     with progress("matching reduced pictures", len(pairs)) as done:
         tracks, _ = match_all(keys, pairs, plan, done)
     with progress("orienting reduced pictures", None):
@@ -242,19 +242,6 @@ def orient_quickly(
         cameras = camera_figures(adjusted, told_by_rays(freed, loosely))
         joined = len(adjusted.start.images.names)
         return Quick(joined, first.left_out, cameras, ground, adjusted, origin)
-
-
-def _of_nearest(facts: Sequence[ImageFacts], pairs: Integers) -> Integers:
-    """Pairs of which one picture is among the nearest of the other; all where places are not known."""
-    places = local_places(facts)[0]
-    apart = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
-    order = np.lexsort((np.r_[apart, apart], pairs.T.ravel()))
-    image = pairs.T.ravel()[order]
-    begin = np.searchsorted(image, image)
-    near = np.zeros(2 * len(pairs), dtype=np.bool_)
-    near[order] = np.arange(len(image)) - begin < _PARTNERS
-    chosen: Integers = pairs[near.reshape(2, -1).any(axis=0) | np.isnan(apart)]
-    return chosen
 
 
 def _known(stated: Camera, last: Sequence[Camera]) -> Camera:

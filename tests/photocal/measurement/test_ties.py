@@ -14,19 +14,22 @@ from numpy.typing import NDArray
 from PIL import Image
 from pyproj import Geod
 
+from photocal.base.progress import quiet
 from photocal.base.workers import run_tasks
 from photocal.block.folder import read_block
 from photocal.measurement.features import Features, FeatureSettings, cached, detect, made_once
 from photocal.measurement.image_facts import read_facts
-from photocal.measurement.image_pairs import footprints, select_pairs
+from photocal.measurement.image_pairs import among_nearest, footprints, select_pairs
 from photocal.measurement.match_images import (
+    JOINED,
     MatchingPlan,
     detect_all,
     match_all,
+    match_where_needed,
     same_pictures,
 )
 from photocal.measurement.pair_matching import match, mutual_matches, search_windows
-from photocal.measurement.tracks import Tracks, join_tracks, spaced, thin
+from photocal.measurement.tracks import Tracks, in_common, join_tracks, spaced, thin
 
 
 class Answer(Protocol):
@@ -328,6 +331,56 @@ def test_two_workers_give_the_tracks_of_one(tmp_path: Path) -> None:
     assert results[0].count > 100
     assert np.array_equal(results[0].pixels, results[1].pixels)
     assert np.array_equal(results[0].track, results[1].track)
+
+
+def test_what_tracks_join_already_is_not_matched_again(tmp_path: Path) -> None:
+    """Six pictures in a row, each with two thirds of the one before."""
+    texture, size, step = _texture(3, 900), 400, 70
+    paths = [tmp_path / f"{k}.png" for k in range(6)]
+    for k, path in enumerate(paths):
+        Image.fromarray(texture[:size, k * step : k * step + size]).save(path)
+    plan = MatchingPlan(tmp_path / "cache", 1, FeatureSettings(most=3000))
+    keys, _ = detect_all(paths, plan, lambda _: None)
+    pairs = np.column_stack(np.triu_indices(6, 1)).astype(np.int64)
+    apart = np.diff(pairs, axis=1).ravel()
+    whole, of_all = match_all(keys, pairs, plan, lambda _: None)
+    told, counts = match_where_needed(keys, pairs, apart == 1, plan, quiet)
+    joined = in_common(whole, pairs, 6)
+    # Those with few tracks in common, by their near neighbours, are matched; the others are not.
+    chain = in_common(match_all(keys, pairs[apart == 1], plan, lambda _: None)[0], pairs, 6)
+    assert len(counts) == 5 + np.count_nonzero(chain[apart > 1] < JOINED)
+    assert 5 < len(counts) < len(pairs) == len(of_all)
+    found = in_common(told, pairs, 6)
+    assert (found > 0.9 * joined).all()
+    # Where all are near, all are matched.
+    again, counts = match_where_needed(keys, pairs, apart > 0, plan, quiet)
+    assert np.array_equal(again.pixels, whole.pixels)
+    assert np.array_equal(counts, of_all)
+
+
+def test_tracks_in_common_are_counted_for_each_pair() -> None:
+    chance = np.random.default_rng(1)
+    seen = chance.random((40, 7)) < 0.5
+    track, image = np.nonzero(seen[seen.sum(axis=1) > 1])
+    rays = len(track)
+    tracks = Tracks(track, image, np.zeros((rays, 2)), np.ones(rays))
+    pairs = np.column_stack(np.triu_indices(7, 1))
+    sets = [set(track[image == k].tolist()) for k in range(7)]
+    assert in_common(tracks, pairs, 7).tolist() == [len(sets[a] & sets[b]) for a, b in pairs]
+
+
+def test_pairs_of_nearest_images() -> None:
+    """Against a sorted list of each image; one that is lost goes with all that it is paired with."""
+    places = np.random.default_rng(2).uniform(0.0, 100.0, (30, 2))
+    places[7] = np.nan
+    pairs = np.column_stack(np.triu_indices(30, 1)).astype(np.int64)
+    near = {tuple(pair) for pair in pairs[among_nearest(places, pairs, 5)].tolist()}
+    expected = {(min(7, k), max(7, k)) for k in range(30) if k != 7}
+    for k in set(range(30)) - {7}:
+        order = np.argsort(np.linalg.norm(places - places[k], axis=1))
+        nearest = [int(j) for j in order if j not in (7, k)][:5]
+        expected |= {(min(j, k), max(j, k)) for j in nearest}
+    assert near == expected
 
 
 def test_a_picture_that_was_saved_twice_is_no_second_observation(tmp_path: Path) -> None:
