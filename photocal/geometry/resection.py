@@ -107,9 +107,10 @@ def _least_median(world: Floats, rays: Floats) -> Resection | None:
     if not poses:
         return None
     rotation, centre = np.array([p[0] for p in poses]), np.array([p[1] for p in poses])
-    residual = ray_residuals(rotation[:, None], centre[:, None], world, rays)
-    k = int(np.argmin(_misfit(residual)))
-    best = Resection(rotation[k], centre[k], residual[k])
+    # A median of so many points tells a pose of good ones from others.
+    judges = rng.choice(len(world), min(len(world), 200), replace=False)
+    misfit = _misfit(ray_residuals(rotation[:, None], centre[:, None], world[judges], rays[judges]))
+    (best,) = _with_residuals([poses[int(np.argmin(misfit))]], world, rays)
     if not np.isfinite(_misfit(best.residual)):
         return None
     good = best.residual <= UNEVEN / 2 * _misfit(best.residual)

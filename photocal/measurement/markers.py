@@ -235,19 +235,14 @@ def find_coded_targets(
     dictionary_name: str,
     names: Mapping[str, str],
     processes: Workers,
-    done: Callable[[float], None],
 ) -> tuple[tuple[Mark, ...], tuple[str, ...]]:
     """Find coded targets in images: their middles, where the lens that is known of a camera shows them.
 
     lenses: camera of each image.
     """
-    dictionary(dictionary_name)
     marks, strangers = [], []
-    tasks = [
-        (combined_key(VERSION, "coded targets", source.key, dictionary_name), source, dictionary_name)
-        for source in sources
-    ]
-    found = run_tasks(_find, tasks, processes, done, lambda task: kept(task[1].cache, task[0]))
+    tasks = [(source, dictionary_name) for source in sources]
+    found = run_tasks(_find, tasks, processes, at_hand=lambda task: coded_targets_kept(*task))
     for source, lens, targets in zip(sources, lenses, found, strict=True):
         places = targets[:, 1:3] + moved_by_bend(lens, targets[:, 5:].reshape(-1, 4, 2))
         for code, (x, y), (sx, sy) in zip(targets[:, 0], places.tolist(), targets[:, 3:5], strict=True):
@@ -260,17 +255,35 @@ def find_coded_targets(
     return tuple(marks), tuple(strangers)
 
 
-def _find(task: tuple[str, ImageSource, str]) -> Floats:
-    key, source, dictionary_name = task
+def _find(task: tuple[ImageSource, str]) -> Floats:
+    source, dictionary_name = task
+    return coded_targets(source, dictionary_name, lambda: read_grey(source.path))
+
+
+def _targets_key(source: ImageSource, dictionary_name: str) -> str:
+    return combined_key(VERSION, "coded targets", source.key, dictionary_name)
+
+
+def coded_targets_kept(source: ImageSource, dictionary_name: str) -> bool:
+    """Whether the cache has the coded targets of an image."""
+    return kept(source.cache, _targets_key(source, dictionary_name))
+
+
+def coded_targets(source: ImageSource, dictionary_name: str, picture: Callable[[], Grey]) -> Floats:
+    """Coded targets of an image, from the cache or found in its picture.
+
+    returns (n, 13): code; column, row and their standard deviations; columns and rows of the corners; px.
+    """
 
     def make() -> Arrays:
         """Find the coded targets of one picture."""
-        markers = find_markers(read_grey(source.path), dictionary_name)
         rows = [
-            (m.identity, m.centre.column, m.centre.row, *m.centre.sigma, *m.corners.ravel()) for m in markers
+            (m.identity, m.centre.column, m.centre.row, *m.centre.sigma, *m.corners.ravel())
+            for m in find_markers(picture(), dictionary_name)
         ]
         return {"targets": np.array(rows, dtype=float).reshape(-1, 13)}
 
+    key = _targets_key(source, dictionary_name)
     return np.asarray(cached(source.cache, key, ("targets",), make)["targets"], dtype=np.float64)
 
 

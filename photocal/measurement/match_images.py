@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Self
 
@@ -27,6 +27,7 @@ from photocal.measurement.features import (
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import as_eight_bit, each_picture, left_out_entry, read_grey
 from photocal.measurement.image_pairs import Footprints, among_nearest, select_pairs
+from photocal.measurement.markers import coded_targets, coded_targets_kept
 from photocal.measurement.pair_matching import match
 from photocal.measurement.patch_matching import ImageSource
 from photocal.measurement.tracks import Tracks, in_common, join_tracks, of_images
@@ -41,11 +42,15 @@ _NAMES = ("pixels", "scale", "descriptors")
 
 @dataclass(frozen=True)
 class MatchingPlan:
-    """Where results are kept, how they are made and by how many processes."""
+    """Where results are kept, how they are made and by how many processes.
+
+    coded: dictionaries of coded targets that are looked for beside the features: pictures are decoded once.
+    """
 
     cache: Path = field(default_factory=cache_folder)
     processes: Workers = field(default_factory=lambda: affordable(WORKER_BYTES, OWN_BYTES))
     features: FeatureSettings = field(default_factory=FeatureSettings)
+    coded: tuple[str, ...] = ()
 
 
 def detect_all(
@@ -53,9 +58,7 @@ def detect_all(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Detect the features of all images into the cache; give their keys, and why an image cannot be used."""
     images = ((path, combined_key(FEATURES, digest(path), plan.features), plan) for path in paths)
-    detected = list(
-        run_tasks(_detect_one, images, plan.processes, done, lambda image: kept(plan.cache, image[1]))
-    )
+    detected = list(run_tasks(_detect_one, images, plan.processes, done, _at_hand))
     return tuple(key for key, _ in detected), tuple(reason for _, reason in detected)
 
 
@@ -115,15 +118,25 @@ def match_where_needed(
     return tracks, np.array([len(m) for m in matches], dtype=np.int64)
 
 
+def _at_hand(image: tuple[Path, str, MatchingPlan]) -> bool:
+    path, key, plan = image
+    source = ImageSource(path, key, plan.cache)
+    return kept(plan.cache, key) and all(coded_targets_kept(source, codes) for codes in plan.coded)
+
+
 def _detect_one(image: tuple[Path, str, MatchingPlan]) -> tuple[str, str]:
     path, key, plan = image
+    # Decoded once, and only where something is made of it.
+    picture = cache(partial(read_grey, path))
 
     def make() -> Arrays:
         """Detect the features of one picture."""
-        return dict(vars(detect(as_eight_bit(read_grey(path)), plan.features)))
+        return dict(vars(detect(as_eight_bit(picture()), plan.features)))
 
     try:
         cached(plan.cache, key, _NAMES, make)
+        for codes in plan.coded:
+            coded_targets(ImageSource(path, key, plan.cache), codes, picture)
     except PhotocalError as refusal:
         if refusal.where != str(path):
             raise
@@ -241,7 +254,8 @@ def track_images(
     """
     pictures, left_out = each_picture(paths, lambda path: (path, read_facts(path)))
     readable = [path for path, _ in pictures]
-    with progress("detecting features", len(readable)) as done:
+    title = "detecting features and coded targets" if plan.coded else "detecting features"
+    with progress(title, len(readable)) as done:
         keys, reasons = detect_all(readable, plan, done)
     good = [k for k, reason in enumerate(reasons) if not reason]
     left_out += [left_out_entry(readable[k].name, why, "unreadable") for k, why in enumerate(reasons) if why]

@@ -38,7 +38,7 @@ class ImageSource:
     cache: Path
     level: int = 0
 
-    def key_of(self, kind: str, *given: Floats | Floats32) -> str:
+    def key_of(self, kind: str, *given: Floats | Integers) -> str:
         """Key of what is measured in the image by given numbers."""
         return combined_key(VERSION, kind, self.key, self.level, array_key(*given))
 
@@ -115,6 +115,8 @@ def refine(
     by_image = np.argsort(tracks.image, kind="stable")
     ends = np.cumsum(np.bincount(tracks.image, minlength=len(sources)))[:-1]
     shown = np.split(tracks.track[by_image], ends)
+    # A patch is known by its picture and its middle: its pixels are many times as much to digest.
+    picture = np.array([int(combined_key(source.key)[:15], 16) for source in sources])[surface.image]
 
     def jobs() -> Iterator[tuple[str, ImageSource, tuple[_Rays, Floats32]]]:
         """Give the work of each image: its own rays and those of its partners."""
@@ -124,8 +126,9 @@ def refine(
             for partner in (*partners[k], k):
                 near[shown[partner]] = True
             rays = _expected(views, k, np.flatnonzero(near & inside & (surface.image != k)), surface)
-            cut = patches[rays.track]
-            yield source.key_of("matched", rays.place, rays.affinity, cut), source, (rays, cut)
+            of_patches = picture[rays.track], surface.middle[rays.track]
+            key = source.key_of("matched", rays.place, rays.affinity, *of_patches)
+            yield key, source, (rays, patches[rays.track])
 
     refined = list(run_tasks(_match_image, jobs(), processes, done, _at_hand))
     inner = np.flatnonzero(inside)
@@ -158,17 +161,21 @@ def _surface(views: OrientedImages, tracks: Tracks, points: Floats) -> _Surface:
     distance = np.linalg.norm(views.station[image] - points, axis=1)
     # Steps of about a pixel or a few keep the differences within the local linearity.
     axes = np.stack([first, np.cross(normal, first)], axis=1) * (1e-3 * distance)[:, None, None]
-    miss = middle - views.project(image, points)
-    steps = np.linalg.solve(_jacobians(views, image, points, axes), miss[..., None])[..., 0]
+    place = views.project(image, points)
+    slopes = _jacobians(views, image, points, axes, place)
+    steps = np.linalg.solve(slopes, (middle - place)[..., None])[..., 0]
     anchor = points + np.einsum("nk,nkj->nj", steps, axes)
-    to_axes = np.asarray(np.linalg.inv(_jacobians(views, image, anchor, axes)), dtype=np.float64)
+    slopes = _jacobians(views, image, anchor, axes, views.project(image, anchor))
+    to_axes = np.asarray(np.linalg.inv(slopes), dtype=np.float64)
     return _Surface(image, middle, anchor, axes, to_axes, _directions(views, image, anchor))
 
 
-def _jacobians(views: OrientedImages, image: Integers, xyz: Floats, axes: Floats) -> Floats:
-    """Pixels per step along the axes of the surface, shape (n, 2, 2)."""
-    ahead = [views.project(image, xyz + axes[:, k]) - views.project(image, xyz - axes[:, k]) for k in (0, 1)]
-    return np.stack(ahead, axis=2) / 2
+def _jacobians(views: OrientedImages, image: Integers, xyz: Floats, axes: Floats, place: Floats) -> Floats:
+    """Pixels per step along the axes of the surface, shape (n, 2, 2); place: where images show the points."""
+    # Of a step of some pixels: as small, the difference ahead is exact to its sixth digit.
+    part = 1e-3
+    ahead = [(views.project(image, xyz + part * axes[:, k]) - place) / part for k in (0, 1)]
+    return np.stack(ahead, axis=2)
 
 
 def _expected(views: OrientedImages, number: int, track: Integers, surface: _Surface) -> _Rays:
@@ -180,7 +187,7 @@ def _expected(views: OrientedImages, number: int, track: Integers, surface: _Sur
         seen = _inside(place, views.sizes()[image])
     seen &= np.einsum("nk,nk->n", _directions(views, image, anchor), surface.towards[track]) > _COS_APART
     track, image, place, anchor = track[seen], image[seen], place[seen], anchor[seen]
-    affinity = _jacobians(views, image, anchor, surface.axes[track]) @ surface.to_axes[track]
+    affinity = _jacobians(views, image, anchor, surface.axes[track], place) @ surface.to_axes[track]
     with np.errstate(invalid="ignore"):
         zoom = np.sqrt(np.abs(np.linalg.det(affinity)))
     alike = np.isfinite(affinity).all(axis=(1, 2)) & (zoom < _ZOOM) & (zoom > 1 / _ZOOM)

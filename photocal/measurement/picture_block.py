@@ -268,8 +268,10 @@ def measure_project(
 @one_crew()
 def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> MeasuredBlock:
     """Track features, orient the images by them, and measure tie points; targets and marks with them."""
-    tracked = track_images(known.paths, plan, progress, known.footprints, known.stated)
     project, given = known.project, None
+    if project is not None:
+        plan = replace(plan, coded=tuple(coded.dictionary for coded in project.control.coded_targets))
+    tracked = track_images(known.paths, plan, progress, known.footprints, known.stated)
     if project is not None:
         tracked, member = _with_cameras(tracked, project.cameras, known.camera_of)
         given = project.cameras, member

@@ -211,10 +211,8 @@ def targets_of_project(
     findings: list[Finding] = []
     _require_points(project, control)
     for coded in given.coded_targets:
-        with progress("looking for coded targets", len(sources)) as done:
-            coded_marks, unnamed = find_coded_targets(
-                sources, lenses, coded.dictionary, coded.names, workers, done
-            )
+        # They were found with the features, while the pictures were decoded.
+        coded_marks, unnamed = find_coded_targets(sources, lenses, coded.dictionary, coded.names, workers)
         marks += coded_marks
         strangers += unnamed
     record: dict[str, Any] = {"coded": len(marks)}

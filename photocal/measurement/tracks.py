@@ -40,9 +40,9 @@ class Tracks(Columns):
     def some(self, rays: Flags, fewest: int = 2) -> "Tracks":
         """Keep some of the rays, and of those the tracks with enough of them; tracks are numbered anew."""
         left = np.bincount(self.track[rays], minlength=self.count)
-        keep = rays & (left >= fewest)[self.track]
-        _, track = np.unique(self.track[keep], return_inverse=True)
-        return replace(self.rows(keep), track=track.astype(np.int64))
+        stay = left >= fewest
+        keep = rays & stay[self.track]
+        return replace(self.rows(keep), track=(np.cumsum(stay) - 1)[self.track[keep]])
 
 
 def join_tracks(features: Sequence[Features], pairs: Integers, matches: Sequence[Integers]) -> Tracks:
@@ -57,17 +57,22 @@ def join_tracks(features: Sequence[Features], pairs: Integers, matches: Sequence
     ends = np.array([np.concatenate([place[:0], *of_pairs]) for of_pairs in (first, second)])
     graph = coo_matrix((np.ones(len(ends[0]), dtype=np.int8), (ends[0], ends[1])), shape=(total, total))
     _, label = connected_components(graph, directed=False)
-    used = np.unique(ends)
+    matched = np.zeros(total, dtype=np.bool_)
+    matched[ends] = True
+    used = np.flatnonzero(matched)
     image = np.searchsorted(offset, used, side="right") - 1
-    _, track = np.unique(label[used], return_inverse=True)
+    joined = np.zeros(int(label.max(initial=-1)) + 1, dtype=np.bool_)
+    joined[label[used]] = True
+    track = (np.cumsum(joined) - 1)[label[used]]
     pixels = np.concatenate([f.pixels for f in features]).astype(float)[used]
     scale = np.concatenate([f.scale for f in features]).astype(float)[used]
     order = np.lexsort((image, track))
-    track, image = track[order].astype(np.int64), image[order].astype(np.int64)
+    track, image = track[order], image[order].astype(np.int64)
     twice = np.flatnonzero((np.diff(track) == 0) & (np.diff(image) == 0))
-    bad = np.unique(track[twice])
-    tracks = Tracks(track, image, pixels[order], scale[order], len(bad))
-    return tracks.some(~np.isin(track, bad))
+    bad = np.zeros(int(track.max(initial=-1)) + 1, dtype=np.bool_)
+    bad[track[twice]] = True
+    tracks = Tracks(track, image, pixels[order], scale[order], int(np.count_nonzero(bad)))
+    return tracks.some(~bad[track])
 
 
 def in_common(tracks: Tracks, pairs: Integers, images: int) -> Integers:

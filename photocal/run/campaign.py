@@ -24,6 +24,7 @@ from photocal.run.course import (
     CODED,
     COMPILING,
     CONTROL,
+    FEATURES,
     PLAIN,
     RAYS_OF_A_PICTURE,
     Course,
@@ -144,7 +145,8 @@ def run_project(
     last = {stage.name: last_seconds(stage, project.output) for stage in wanted}
     size = _size(project, wanted)
     control = project.control
-    needed = {CODED: control.coded_targets, PLAIN: control.plain_targets, CONTROL: control.points}
+    coded = bool(control.coded_targets)
+    needed = {FEATURES: not coded, CODED: coded, PLAIN: control.plain_targets, CONTROL: control.points}
     pieces = usual_pieces(size, [title for title, given in needed.items() if not given])
     course = Course(expected(last, last, size, pieces), progress, seen_s=sum(last.values()), pieces=pieces)
     with alone(project.output), bar() as show, followed(course, into(project.output / PROGRESS), show):

@@ -29,13 +29,14 @@ _USUAL = {
 }
 _OTHER = (5.0, 0.0, 0.0, 0.0, 0.0)
 # Pieces that not all projects have. That targets without a code take as long as those with one is assumed.
-CODED, PLAIN, CONTROL = "looking for coded targets", "looking for targets", "adjusting with control"
+FEATURES, CODED = "detecting features", "detecting features and coded targets"
+PLAIN, CONTROL = "looking for targets", "adjusting with control"
 # The same for the pieces of work of a stage in their order.
 _PIECES = {
     "measurements": {
-        "detecting features": (2.0, 0.35, 0.005, 0.0, 0.0),
+        FEATURES: (2.0, 0.35, 0.005, 0.0, 0.0),
+        CODED: (2.0, 0.4, 0.016, 0.0, 0.0),
         "matching pairs of images": (0.5, 0.0, 0.0, 0.04, 0.0),
-        CODED: (0.0, 0.06, 0.018, 0.0, 0.0),
         PLAIN: (0.0, 0.06, 0.018, 0.0, 0.0),
         "orienting the pictures": (1.5, 0.2, 0.0, 0.0, 0.0),
         "matching tie points precisely": (0.3, 0.12, 0.022, 0.0, 0.0),

@@ -214,7 +214,7 @@ def test_a_piece_that_few_flights_have_leaves_the_time_as_it_was() -> None:
         clock.now += 30.0
         done(30)
     before = course.standing().left_s
-    with course.progress("looking for coded targets", 40):
+    with course.progress(PLAIN, 40):
         assert course.standing().left_s == pytest.approx(before)
 
 
