@@ -14,7 +14,7 @@ from photocal.measurement.position_files import local_places
 
 Rule = Literal["footprints", "neighbours", "sequence", "all"]
 
-# Without any exposure: all pairs up to so many images, then those that follow each other.
+# All pairs that may overlap up to so many images; beyond, without any exposure, those that follow each other.
 ALL_UP_TO, SEQUENCE = 60, 12
 
 

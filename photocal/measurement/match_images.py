@@ -26,7 +26,7 @@ from photocal.measurement.features import (
 )
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import as_eight_bit, each_picture, left_out_entry, read_grey
-from photocal.measurement.image_pairs import Footprints, among_nearest, select_pairs
+from photocal.measurement.image_pairs import ALL_UP_TO, Footprints, among_nearest, select_pairs
 from photocal.measurement.markers import coded_targets, coded_targets_kept
 from photocal.measurement.pair_matching import match
 from photocal.measurement.patch_matching import ImageSource
@@ -273,7 +273,9 @@ def track_images(
         raise too_few(len(facts), len(paths), left_out, paths[0].parent)
     seen = looking(facts)
     pairs, rule = select_pairs(seen, len(facts))
-    near = among_nearest(seen[0], pairs, NEAREST)
+    # Of few images each pair may be the one that joins two parts.
+    few = len(facts) <= ALL_UP_TO
+    near = np.ones(len(pairs), dtype=np.bool_) if few else among_nearest(seen[0], pairs, NEAREST)
     tracks, counts = match_where_needed(keys, pairs, near, plan, progress)
     sources = tuple(ImageSource(readable[k], key, plan.cache) for k, key in zip(good, keys, strict=True))
     return ImageTracks(
