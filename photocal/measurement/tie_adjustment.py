@@ -37,6 +37,8 @@ from photocal.measurement.tracks import Tracks, of_images
 
 # A round takes out a third or less of what the one before has: after this share no later one would show.
 _ROUNDS, FEW_LEFT = 8, 1e-4
+# Without gross errors rays fit no less than with them: their sigma does not grow by more than this.
+_STRAINED = 1.01
 # Squared distance to the minimum, in standard deviations, that may be left of a round.
 _ENOUGH = 1e-6
 # Three rays give a pose that nothing checks.
@@ -71,7 +73,7 @@ class AdjustedTies:
     @property
     def tie_sigma(self) -> float:
         """Standard deviation of the rays of tie points, root mean square, px."""
-        return float(np.sqrt(np.mean(self.ray_sigma**2)))
+        return _usual(self.ray_sigma)
 
     def after(self, before: Self) -> Self:
         """Count what an adjustment before this one has rejected and left out, too."""
@@ -205,7 +207,7 @@ def _fitting_ties(start: Block, poses: Floats, tracks: Tracks, sigma: Floats | N
     ties, block = _Ties(start, poses, tracks, known, _nowhere(tracks)).held()
     as_oriented = replace(block, images=replace(block.images, values=ties.poses))
     ties, block = ties.some(fitting(as_oriented)[len(ties.start.observations.image) :]).held()
-    lost_before = np.inf
+    lost_before, usual_before = np.inf, np.inf if sigma is None else _usual(ties.sigma)
     for round_ in range(_ROUNDS):
         # Gross errors first: they must not go into the camera.
         held = round_ == 0 and sigma is None
@@ -227,16 +229,26 @@ def _fitting_ties(start: Block, poses: Floats, tracks: Tracks, sigma: Floats | N
             own * np.sqrt(2 * np.maximum(redundancy[tie_rays], policy.least_checked))
         )
         good = standardised <= (2 * GROSS if held else GROSS)
+        # Where those that are left fit less than before, no ray is to blame, but what is held of the cameras,
+        # or what was brought in.
+        strained = _usual(own) > _STRAINED * usual_before
+        if strained:
+            good = np.ones(len(own), dtype=np.bool_)
         if not held:
             # Whether they roll is shown once, and asked again when all rays are chosen.
             ties = replace(ties, start=replace(start, cameras=shutters_closed(start.cameras)))
         ties, block = replace(ties, sigma=own).some(good).held()
         lost = float(np.mean(~good))
         # Gross errors become fewer; what does not is what the camera, or what is held of it, lacks.
-        if not held and (lost <= FEW_LEFT or lost >= lost_before):
+        if strained or (not held and (lost <= FEW_LEFT or lost >= lost_before)):
             break
-        lost_before = np.inf if held else lost
+        lost_before, usual_before = (np.inf, np.inf) if held else (lost, _usual(own))
     return ties
+
+
+def _usual(sigma: Floats) -> float:
+    """Root mean square of the standard deviations of rays."""
+    return float(np.sqrt(np.mean(sigma**2)))
 
 
 def with_vibration(adjusted: AdjustedTies) -> AdjustedTies:

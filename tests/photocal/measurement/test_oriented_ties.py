@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from photocal.base.errors import IllPosedError
 from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, Images
-from photocal.geometry.camera import PARAMETERS, camera, plane_to_pixel
+from photocal.geometry.camera import PARAMETERS, among, camera, plane_to_pixel
 from photocal.geometry.oriented_images import OrientedImages, oriented_images
 from photocal.measurement.oriented_ties import _views, first_orientation, orient_ties
 from photocal.measurement.tie_adjustment import _Ties, _where_rays_meet, adjust_ties, adjusted_again
@@ -44,8 +44,8 @@ def _tracks(places: Floats, tilt: float = 0.0) -> Tracks:
     return Tracks(track, image, views.project(image, ground[track]), np.ones(len(track)))
 
 
-def _strip(places: Floats, rng: np.random.Generator) -> Tracks:
-    """Rays of hilly ground along a strip, each to images near it, with half a pixel of noise."""
+def _strip(places: Floats, rng: np.random.Generator, noise_px: float = 0.5) -> Tracks:
+    """Rays of hilly ground along a strip, each to images near it, with noise."""
     count = len(places)
     ground = np.column_stack(
         [rng.uniform(-15, 85, 1200), rng.uniform(-14, 18, 1200), rng.uniform(-4, 4, 1200)]
@@ -55,7 +55,7 @@ def _strip(places: Floats, rng: np.random.Generator) -> Tracks:
         ("i",) * count, (lens,), np.zeros(count, np.int64), np.hstack([np.zeros((count, 3)), places])
     )
     track, image = np.repeat(np.arange(1200), count), np.tile(np.arange(count), 1200)
-    pixels = views.project(image, ground[track]) + rng.normal(0, 0.5, (len(track), 2))
+    pixels = views.project(image, ground[track]) + rng.normal(0, noise_px, (len(track), 2))
     inside = np.asarray(((pixels > 0) & (pixels < np.array(LENS.size_px) - 1)).all(axis=1))
     return Tracks(track, image, pixels, np.ones(len(track))).some(inside)
 
@@ -328,3 +328,24 @@ def test_what_fitted_is_adjusted_again_from_its_sigmas() -> None:
         np.einsum("nii->ni", once.solution.exposure_covariance)
     )
     assert np.abs((again.values - once.values) / sigma).max() < 0.05
+
+
+def test_rays_are_not_to_blame_for_a_wrong_principal_distance() -> None:
+    """Positions of two heights, brought in later, contradict the c that is held: all rays fit less."""
+    places = np.array([[6.0 * x, y, z] for z in (40.0, 48.0) for y in (0.0, 6.0) for x in range(6)])
+    tracks = _strip(places, np.random.default_rng(4), noise_px=0.03)
+    held = replace(LENS.changed(c=918.0, K1=-3e-9), estimated=np.zeros_like(LENS.estimated))
+    start = replace(_block(places), cameras=(held,))
+    start.images.sigma[:, 3:] = 5.0
+    alone = adjust_ties(start, np.hstack([np.zeros((24, 3)), places]), tracks)
+    tight = np.where(np.isfinite(start.images.sigma), 3e-4, np.inf)
+    positioned = replace(alone.start, images=replace(alone.start.images, sigma=tight))
+    strained = adjusted_again(alone, positioned, alone.values)
+    assert strained.tie_sigma > 2.0 * alone.tie_sigma == pytest.approx(0.06, rel=0.05)
+    assert (alone.rejected, strained.rejected) == (0, 0)
+    # With c free, as positions of two heights determine it, the rays fit as before.
+    free = replace(strained.start.cameras[0], estimated=among("c"))
+    freed = adjusted_again(strained, replace(strained.start, cameras=(free,)), strained.values)
+    assert freed.start.cameras[0].value("c") == pytest.approx(900.0, abs=0.1)
+    assert freed.tie_sigma == pytest.approx(alone.tie_sigma, rel=0.05)
+    assert freed.rejected <= 1e-3 * len(tracks.track)
