@@ -105,14 +105,13 @@ def match_where_needed(
     near (n,): which pairs are matched in any case.
     returns: the tracks; numbers of matches of the pairs that were matched.
     """
-    title = "matching pairs of images"
-    with progress(title, int(near.sum())) as done:
+    with progress("matching pairs of images", int(near.sum())) as done:
         matches = _matches(keys, pairs[near], plan, done)
         tracks = _joined(keys, pairs[near], matches, plan)
     far = pairs[~near]
     far = far[in_common(tracks, far, len(keys)) < JOINED]
     if len(far):
-        with progress(title, len(far)) as done:
+        with progress("matching pairs of images", len(far)) as done:
             matches += _matches(keys, far, plan, done)
             tracks = _joined(keys, np.concatenate([pairs[near], far]), matches, plan)
     return tracks, np.array([len(m) for m in matches], dtype=np.int64)
@@ -254,8 +253,10 @@ def track_images(
     """
     pictures, left_out = each_picture(paths, lambda path: (path, read_facts(path)))
     readable = [path for path, _ in pictures]
-    title = "detecting features and coded targets" if plan.coded else "detecting features"
-    with progress(title, len(readable)) as done:
+    count = len(readable)
+    features = progress("detecting features", count)
+    detecting = progress("detecting features and coded targets", count) if plan.coded else features
+    with detecting as done:
         keys, reasons = detect_all(readable, plan, done)
     good = [k for k, reason in enumerate(reasons) if not reason]
     left_out += [left_out_entry(readable[k].name, why, "unreadable") for k, why in enumerate(reasons) if why]
