@@ -108,8 +108,8 @@ def _least_median(world: Floats, rays: Floats) -> Resection | None:
         return None
     rotation, centre = np.array([p[0] for p in poses]), np.array([p[1] for p in poses])
     # A median of so many points tells a pose of good ones from others.
-    judges = rng.choice(len(world), min(len(world), 200), replace=False)
-    misfit = _misfit(ray_residuals(rotation[:, None], centre[:, None], world[judges], rays[judges]))
+    some = rng.choice(len(world), min(len(world), 200), replace=False)
+    misfit = _misfit(ray_residuals(rotation[:, None], centre[:, None], world[some], rays[some]))
     (best,) = _with_residuals([poses[int(np.argmin(misfit))]], world, rays)
     if not np.isfinite(_misfit(best.residual)):
         return None

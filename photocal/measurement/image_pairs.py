@@ -16,6 +16,9 @@ Rule = Literal["footprints", "neighbours", "sequence", "all"]
 
 # All pairs that may overlap up to so many images; beyond, without any exposure, those that follow each other.
 ALL_UP_TO, SEQUENCE = 60, 12
+# Each image is paired with so many others at most: pairs grow with the images, not with their square. Of more
+# images than those the nearest are matched first, which by their tracks join it to those farther away.
+MOST_PARTNERS, NEAREST = 24, 12
 
 
 # Where images look, as far as it is known before they are oriented: middles of the footprints (n, 2), m, NaN
@@ -102,10 +105,7 @@ def _near(seen: Footprints, rows: Integers) -> tuple[Integers, Rule]:
     """Pairs of neighbours, of those whose footprints overlap where these are known."""
     from scipy.spatial import KDTree
 
-    # Each image is matched with so many others at most: the number of pairs grows with the images, not with
-    # their square.
-    most_partners = 24
-    partners = min(len(rows), most_partners + 1)
+    partners = min(len(rows), MOST_PARTNERS + 1)
     centre, radius = (part[rows] for part in seen)
     nearest = KDTree(centre).query(centre, k=partners)
     distance, other = (np.reshape(part, (len(rows), -1)) for part in nearest)

@@ -6,13 +6,13 @@ Calibration boards: chessboard and ChArUco, found in an image and measured to a 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 
 from photocal.base.arrays import Bytes, Floats, Integers
 from photocal.base.errors import ConfigurationError
-from photocal.base.workers import Workers, run_tasks
 from photocal.exchange.parts import Mark
 from photocal.geometry.camera import Camera, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import distorted, undistorted
@@ -234,16 +234,14 @@ def find_coded_targets(
     lenses: Sequence[Camera],
     dictionary_name: str,
     names: Mapping[str, str],
-    processes: Workers,
 ) -> tuple[tuple[Mark, ...], tuple[str, ...]]:
     """Find coded targets in images: their middles, where the lens that is known of a camera shows them.
 
     lenses: camera of each image.
     """
     marks, strangers = [], []
-    tasks = [(source, dictionary_name) for source in sources]
-    found = run_tasks(_find, tasks, processes, at_hand=lambda task: coded_targets_kept(*task))
-    for source, lens, targets in zip(sources, lenses, found, strict=True):
+    for source, lens in zip(sources, lenses, strict=True):
+        targets = coded_targets(source, dictionary_name, partial(read_grey, source.path))
         places = targets[:, 1:3] + moved_by_bend(lens, targets[:, 5:].reshape(-1, 4, 2))
         for code, (x, y), (sx, sy) in zip(targets[:, 0], places.tolist(), targets[:, 3:5], strict=True):
             name = names.get(str(int(code)))
@@ -253,11 +251,6 @@ def find_coded_targets(
                 sigma = (math.hypot(sx, COMMON_PX), math.hypot(sy, COMMON_PX))
                 marks.append(Mark(source.path.name, name, x, y, sigma, f"code {int(code)}"))
     return tuple(marks), tuple(strangers)
-
-
-def _find(task: tuple[ImageSource, str]) -> Floats:
-    source, dictionary_name = task
-    return coded_targets(source, dictionary_name, lambda: read_grey(source.path))
 
 
 def _targets_key(source: ImageSource, dictionary_name: str) -> str:

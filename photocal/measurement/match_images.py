@@ -26,7 +26,7 @@ from photocal.measurement.features import (
 )
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import as_eight_bit, each_picture, left_out_entry, read_grey
-from photocal.measurement.image_pairs import ALL_UP_TO, Footprints, among_nearest, select_pairs
+from photocal.measurement.image_pairs import ALL_UP_TO, NEAREST, Footprints, among_nearest, select_pairs
 from photocal.measurement.markers import coded_targets, coded_targets_kept
 from photocal.measurement.pair_matching import match
 from photocal.measurement.patch_matching import ImageSource
@@ -76,7 +76,7 @@ def match_all(
 ) -> tuple[Tracks, Integers]:
     """Match pairs of images and join the matches to tracks; give the number of matches of each, too."""
     matches = _matches(keys, pairs, plan, done)
-    return _joined(keys, pairs, matches, plan), np.array([len(m) for m in matches], dtype=np.int64)
+    return join_tracks(_places(keys, plan), pairs, matches), _counts(matches)
 
 
 def _matches(
@@ -86,15 +86,18 @@ def _matches(
     return list(run_tasks(_match_one, tasks, plan.processes, done, lambda task: kept(plan.cache, task[0])))
 
 
-def _joined(keys: Sequence[str], pairs: Integers, matches: Sequence[Integers], plan: MatchingPlan) -> Tracks:
+def _places(keys: Sequence[str], plan: MatchingPlan) -> list[Features]:
     # Descriptors stay on the disk: only places and scales of all images are held.
-    return join_tracks([_features(plan, key) for key in keys], pairs, matches)
+    return [_features(plan, key) for key in keys]
 
 
-# An image is matched with so many of its nearest first: tracks join it to those farther away, which are
-# matched only where these are fewer. In 318 pictures, of which each overlaps with 24 and more, that halves
-# the work and leaves 98 % of the rays.
-NEAREST, JOINED = 12, 200
+def _counts(matches: Sequence[Integers]) -> Integers:
+    return np.array([len(m) for m in matches], dtype=np.int64)
+
+
+# So many tracks join two images as well as matches of their own would. Of 318 pictures, of which each
+# overlaps with 24 and more, half of the pairs are matched then, and 98 % of the rays are left.
+JOINED = 200
 
 
 def match_where_needed(
@@ -106,15 +109,15 @@ def match_where_needed(
     returns: the tracks; numbers of matches of the pairs that were matched.
     """
     with progress("matching pairs of images", int(near.sum())) as done:
-        matches = _matches(keys, pairs[near], plan, done)
-        tracks = _joined(keys, pairs[near], matches, plan)
+        matches, places = _matches(keys, pairs[near], plan, done), _places(keys, plan)
+        tracks = join_tracks(places, pairs[near], matches)
     far = pairs[~near]
     far = far[in_common(tracks, far, len(keys)) < JOINED]
     if len(far):
         with progress("matching pairs of images", len(far)) as done:
             matches += _matches(keys, far, plan, done)
-            tracks = _joined(keys, np.concatenate([pairs[near], far]), matches, plan)
-    return tracks, np.array([len(m) for m in matches], dtype=np.int64)
+            tracks = join_tracks(places, np.concatenate([pairs[near], far]), matches)
+    return tracks, _counts(matches)
 
 
 def _at_hand(image: tuple[Path, str, MatchingPlan]) -> bool:

@@ -212,7 +212,7 @@ def targets_of_project(
     _require_points(project, control)
     for coded in given.coded_targets:
         # They were found with the features, while the pictures were decoded.
-        coded_marks, unnamed = find_coded_targets(sources, lenses, coded.dictionary, coded.names, workers)
+        coded_marks, unnamed = find_coded_targets(sources, lenses, coded.dictionary, coded.names)
         marks += coded_marks
         strangers += unnamed
     record: dict[str, Any] = {"coded": len(marks)}

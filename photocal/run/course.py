@@ -11,7 +11,7 @@ from types import MappingProxyType
 from photocal.base.errors import OutputError
 from photocal.base.files import output_file, write_json
 from photocal.base.progress import Progress, Standing
-from photocal.measurement.image_pairs import ALL_UP_TO
+from photocal.measurement.image_pairs import ALL_UP_TO, MOST_PARTNERS, NEAREST
 
 # What stands before the stages where the program has just been installed.
 COMPILING = "kernels"
@@ -81,8 +81,7 @@ def _seconds(costs: tuple[float, ...], size: Workload) -> float:
 
 def workload(pictures: int, megapixels: float, rays: float) -> Workload:
     """How much work so many pictures of this size are, and so many rays."""
-    # Neighbours that a picture is matched with; those of many pictures join it to the others.
-    neighbours = 24 if pictures <= ALL_UP_TO else 12
+    neighbours = MOST_PARTNERS if pictures <= ALL_UP_TO else NEAREST
     return pictures, pictures * megapixels, pictures * min(pictures - 1, neighbours) / 2, rays / 1000.0
 
 

@@ -209,7 +209,7 @@ def test_coded_targets_lie_where_the_lens_shows_their_middles(tmp_path: Path) ->
 
     def aside(k1: float) -> Floats:
         lens = camera("c", "brown-ideal", "px", size, (1.0, 1.0), {"c": c, "K1": k1})
-        marks, _ = find_coded_targets(sources, [lens, lens], "4x4_50", {str(code): "A"}, 1)
+        marks, _ = find_coded_targets(sources, [lens, lens], "4x4_50", {str(code): "A"})
         return np.array([(mark.x, mark.y) for mark in marks]) - truth
 
     straight, bent = (np.hypot(*aside(k1).T) for k1 in (0.0, bend[0] / c**2))

@@ -17,8 +17,7 @@ from photocal.base.progress import Standing, quiet
 from photocal.base.progress_bars import one_bar
 from photocal.commands.project import progress_words
 from photocal.findings.texts import catalogue
-from photocal.measurement.image_pairs import ALL_UP_TO, among_nearest, select_pairs
-from photocal.measurement.match_images import NEAREST
+from photocal.measurement.image_pairs import ALL_UP_TO, NEAREST, among_nearest, select_pairs
 from photocal.run.course import (
     CODED,
     CONTROL,
