@@ -1,8 +1,11 @@
 """Progress of longer work: `progress(title, total)` is a context that gives `advance(amount)`."""
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
+from threading import Event, Thread
+
+from photocal.base.errors import OutputError
 
 Progress = Callable[[str, float | None], AbstractContextManager[Callable[[float], None]]]
 
@@ -19,7 +22,7 @@ class Standing:
 
     title, piece_share, piece_left_s, piece_s: of the piece of work within the stage; share and time left are
         None where its amount is not known.
-    share, left_s, elapsed_s: of the whole run.
+    share, left_s, elapsed_s: of the whole run; time left is NaN before the run knows what it has to do.
     """
 
     stage: str
@@ -40,3 +43,28 @@ Bar = Callable[[], AbstractContextManager[Callable[[Standing], None]]]
 def unseen() -> Iterator[Callable[[Standing], None]]:
     """Show nothing of a run."""
     yield lambda _: None
+
+
+@contextmanager
+def followed(standing: Callable[[], Standing], *listeners: Callable[[Standing], None]) -> Iterator[None]:
+    """Tell listeners about once a second how far a run is, whatever it works on meanwhile."""
+    ended = Event()
+
+    def tell() -> None:
+        """Tell until the run has ended."""
+        told_every_s = 1.0
+        while True:
+            for listener in listeners:
+                # No work ends because its progress cannot be reported.
+                with suppress(OutputError, OSError):
+                    listener(standing())
+            if ended.wait(told_every_s):
+                return
+
+    beside = Thread(target=tell, daemon=True)
+    beside.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        beside.join()

@@ -10,7 +10,7 @@ from functools import partial
 from types import MappingProxyType
 
 from photocal.base.console import printable
-from photocal.base.progress import Bar, Standing
+from photocal.base.progress import Bar, Standing, followed
 
 # Into a file, or to a program that reads along, a line of progress is written so often.
 LINE_EVERY_S = 10.0
@@ -18,6 +18,8 @@ LINE_EVERY_S = 10.0
 _LEFT = "{share}%, {seconds} s left"
 # The same of a whole run, in a line and beside a bar.
 OF_RUN, ON_BAR = "{share}% of the run, {seconds} s left", "{clock} left"
+# What a run does before it knows its stages.
+STARTING = "starting"
 
 
 class _Lines:
@@ -79,6 +81,20 @@ def one_bar(as_json: bool = False, words: Mapping[str, str] = MappingProxyType({
 
 
 @contextmanager
+def while_starting(bar: Bar) -> Iterator[None]:
+    """Show a run that has begun before it knows its stages: modules take seconds to load from a slow disk."""
+    began = time.monotonic()
+
+    def standing() -> Standing:
+        """Tell for how long it has been starting."""
+        elapsed = time.monotonic() - began
+        return Standing("", STARTING, None, None, elapsed, 0.0, math.nan, elapsed)
+
+    with bar() as show, followed(standing, show):
+        yield
+
+
+@contextmanager
 def _on_terminal(words: Mapping[str, str]) -> Iterator[Callable[[Standing], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
@@ -97,7 +113,8 @@ def _on_terminal(words: Mapping[str, str]) -> Iterator[Callable[[Standing], None
 
         def show(now: Standing) -> None:
             """Draw it anew."""
-            left = words.get(ON_BAR, ON_BAR).format(clock=clock(now.left_s))
+            known = math.isfinite(now.left_s)
+            left = words.get(ON_BAR, ON_BAR).format(clock=clock(now.left_s)) if known else ""
             bar.update(task, description=_doing(now, words), completed=now.share, left=left)
 
         yield show
@@ -118,14 +135,17 @@ def _as_lines(every_s: float, line: Callable[[Standing], str]) -> Iterator[Calla
 
 
 def _in_words(words: Mapping[str, str], now: Standing) -> str:
-    doing = f"{_doing(now, words)}: " if now.stage or now.title else ""
-    left = words.get(OF_RUN, OF_RUN)
-    return doing + left.format(share=math.floor(100 * now.share), seconds=math.ceil(now.left_s))
+    doing = _doing(now, words)
+    if not math.isfinite(now.left_s):
+        return doing
+    left = words.get(OF_RUN, OF_RUN).format(share=math.floor(100 * now.share), seconds=math.ceil(now.left_s))
+    return f"{doing}: {left}" if doing else left
 
 
 def _as_json(now: Standing) -> str:
     kept = {"stage": now.stage, "title": now.title, "share": round(now.share, 4)}
-    seconds = {"left_s": round(now.left_s, 1), "elapsed_s": round(now.elapsed_s, 1)}
+    left_s = round(now.left_s, 1) if math.isfinite(now.left_s) else None
+    seconds = {"left_s": left_s, "elapsed_s": round(now.elapsed_s, 1)}
     return json.dumps({"progress": kept | seconds})
 
 

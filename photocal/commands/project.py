@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from photocal.base.console import Address, AsJson, Details, Language, answer, argument, option, printable
-from photocal.base.progress_bars import OF_RUN, ON_BAR, one_bar, progress
+from photocal.base.progress_bars import OF_RUN, ON_BAR, one_bar, progress, while_starting
 
 if TYPE_CHECKING:
     from photocal.findings.texts import Catalogue
@@ -122,15 +122,18 @@ def run(
     """
     import datetime as dt
 
-    from photocal.base.tables import leave_pandas
-    from photocal.base.workers import Cluster
     from photocal.findings.texts import catalogue, spoken
 
-    leave_pandas()
-    from photocal.run.campaign import Said, run_projects, say_line
-    from photocal.run.summary import certificate_line, summary_text
-
     say = catalogue(spoken(language))
+    bar = one_bar(as_json, progress_words(say))
+    with while_starting(bar):
+        from photocal.base.tables import leave_pandas
+        from photocal.base.workers import Cluster
+
+        leave_pandas()
+        from photocal.run.campaign import Said, run_projects, say_line
+        from photocal.run.summary import certificate_line, summary_text
+
     day = dt.datetime.now().astimezone().date()
     judged = list[str]()
 
@@ -142,7 +145,6 @@ def run(
         judged.append(said["work"])
         answer(False, lambda: said, lambda: summary_text(said, say, details=details))
 
-    bar = one_bar(as_json, progress_words(say))
     crew = workers if cluster is None else Cluster(cluster)
     figures = run_projects(projects, day, until, again, rehash, crew, bar, tell)
     answer(

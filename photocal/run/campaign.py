@@ -11,7 +11,7 @@ from typing import Any
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, PhotocalError, system_refusals
 from photocal.base.extensions import STAGES, brought
-from photocal.base.progress import Bar, Progress, quiet, unseen
+from photocal.base.progress import Bar, Progress, followed, quiet, unseen
 from photocal.base.workers import Workers, run_tasks
 from photocal.block.folder import read_block
 from photocal.block.project import Project, read_project
@@ -31,7 +31,6 @@ from photocal.run.course import (
     Workload,
     about_rays,
     expected,
-    followed,
     into,
     usual_pieces,
     workload,
@@ -149,7 +148,8 @@ def run_project(
     needed = {FEATURES: not coded, CODED: coded, PLAIN: control.plain_targets, CONTROL: control.points}
     pieces = usual_pieces(size, [title for title, given in needed.items() if not given])
     course = Course(expected(last, last, size, pieces), progress, seen_s=sum(last.values()), pieces=pieces)
-    with alone(project.output), bar() as show, followed(course, into(project.output / PROGRESS), show):
+    told = into(project.output / PROGRESS)
+    with alone(project.output), bar() as show, followed(course.standing, told, show):
         digests = Digests(project.output / MEMORY, again=rehash)
         due = foreseen(wanted, project.output, digests, again)
         course.revise({name: 0.0 for name in names if name not in due})

@@ -3,12 +3,10 @@
 import math
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from threading import Event, Thread
 from types import MappingProxyType
 
-from photocal.base.errors import OutputError
 from photocal.base.files import output_file, write_json
 from photocal.base.progress import Progress, Standing
 from photocal.measurement.image_pairs import ALL_UP_TO, MOST_PARTNERS, NEAREST
@@ -39,11 +37,11 @@ _PIECES = {
         CODED: (2.0, 0.4, 0.016, 0.0, 0.0),
         "matching pairs of images": (0.5, 0.0, 0.0, 0.04, 0.0),
         PLAIN: (0.0, 0.06, 0.018, 0.0, 0.0),
-        "orienting the pictures": (1.5, 0.2, 0.0, 0.0, 0.0),
-        "matching tie points precisely": (0.3, 0.12, 0.022, 0.0, 0.0),
-        "adjusting the tie points": (0.1, 0.12, 0.0, 0.0, 0.0),
-        CONTROL: (0.1, 0.1, 0.0, 0.0, 0.0),
-        "adjusting the cameras": (0.5, 0.2, 0.0, 0.0, 0.0),
+        "orienting the pictures": (1.5, 0.13, 0.0, 0.0, 0.0),
+        "matching tie points precisely": (0.3, 0.1, 0.016, 0.0, 0.0),
+        "adjusting the tie points": (0.1, 0.08, 0.0, 0.0, 0.0),
+        CONTROL: (0.1, 0.05, 0.0, 0.0, 0.0),
+        "adjusting the cameras": (1.5, 0.08, 0.0, 0.0, 0.0),
     }
 }
 # Stages that adjust again what a piece of work has adjusted, and how long they take beside it: a block whose
@@ -249,31 +247,6 @@ class Course:
         return Standing(
             self._stage, self._title, piece_share, piece_left, piece_s, self._share, left, elapsed
         )
-
-
-@contextmanager
-def followed(course: Course, *listeners: Callable[[Standing], None]) -> Iterator[None]:
-    """Tell listeners about once a second how far a run is, whatever it works on meanwhile."""
-    ended = Event()
-
-    def tell() -> None:
-        """Tell until the run has ended."""
-        told_every_s = 1.0
-        while True:
-            for listener in listeners:
-                # No work ends because its progress cannot be reported.
-                with suppress(OutputError, OSError):
-                    listener(course.standing())
-            if ended.wait(told_every_s):
-                return
-
-    beside = Thread(target=tell, daemon=True)
-    beside.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        beside.join()
 
 
 def into(file: Path) -> Callable[[Standing], None]:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photocal.base.progress import Standing, quiet
+from photocal.base.progress import Standing, followed, quiet
 from photocal.base.progress_bars import one_bar
 from photocal.commands.project import progress_words
 from photocal.findings.texts import catalogue
@@ -27,7 +27,6 @@ from photocal.run.course import (
     Workload,
     about_rays,
     expected,
-    followed,
     into,
     usual_pieces,
     workload,
@@ -268,7 +267,7 @@ def test_it_is_told_while_the_work_says_nothing(tmp_path: Path) -> None:
 
     file = tmp_path / "progress.json"
     course.begin("ppk")
-    with followed(course, into(file), listen):
+    with followed(course.standing, into(file), listen):
         assert enough.wait(30.0)
     content = json.loads(file.read_text())
     assert content["stage"] == "ppk"
@@ -280,7 +279,7 @@ def test_a_listener_that_fails_ends_no_run() -> None:
     def full(_: Standing) -> None:
         raise OSError(28, "No space left on device")
 
-    with followed(Course({}, quiet), full):
+    with followed(Course({}, quiet).standing, full):
         pass
 
 
