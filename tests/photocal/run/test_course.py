@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from photocal.base.progress import Standing, followed, quiet
-from photocal.base.progress_bars import one_bar
+from photocal.base.progress_bars import STARTING, one_bar, while_starting
 from photocal.commands.project import progress_words
 from photocal.findings.texts import catalogue
 from photocal.measurement.image_pairs import ALL_UP_TO, NEAREST, among_nearest, select_pairs
@@ -299,6 +299,22 @@ def test_lines_into_a_file(as_json: bool, monkeypatch: pytest.MonkeyPatch) -> No
     else:
         assert len(lines) == 3
         assert lines[-1] == "analysis: images: 50% of the run, 20 s left"
+
+
+@pytest.mark.parametrize("as_json", [True, False])
+def test_a_run_is_heard_of_before_it_knows_what_it_has_to_do(
+    as_json: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Once at least, and at once; nobody knows how long it will take."""
+    with while_starting(one_bar(as_json, progress_words(catalogue("pt-BR")))):
+        pass
+    (line,) = capsys.readouterr().err.splitlines()
+    if not as_json:
+        assert line == "iniciando"
+        return
+    told_now = json.loads(line)["progress"]
+    assert (told_now["title"], told_now["left_s"]) == (STARTING, None)
+    assert told_now["elapsed_s"] < 1.0
 
 
 @pytest.mark.parametrize(

@@ -143,11 +143,12 @@ def test_the_card_of_another_flight_is_named(site: Path) -> None:
 
 
 def test_a_lens_that_has_changed_is_named(flown: Path) -> None:
+    """By 3 %: beside a free principal point ten pictures of almost flat ground tell c to 0.4 % only."""
     needs_engine()
-    made = judged(flown, last(FOCAL * 1.01))
+    made = judged(flown, last(FOCAL * 1.03))
     assert codes(made) == {"c-changed"}
     (found,) = [one for one in made.findings if one.code == "c-changed"]
-    assert found.figures["percent"] == pytest.approx(-1.0, abs=0.3)
+    assert found.figures["percent"] == pytest.approx(-100.0 * 0.03 / 1.03, abs=1.2)
 
 
 @pytest.mark.parametrize(
