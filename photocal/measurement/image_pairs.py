@@ -124,15 +124,20 @@ def _near(seen: Footprints, rows: Integers) -> tuple[Integers, Rule]:
 def among_nearest(places: Floats, pairs: Integers, count: int) -> Flags:
     """Tell which pairs have an image among the nearest of the other; all where places are not known.
 
+    Images of one place, as the heads of a rig take them, go together and are not counted.
+
     places (images, 2 or 3).
     pairs (n, 2).
     count: how many of those that an image is paired with are its nearest.
     returns (n,).
     """
     apart = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
-    order = np.lexsort((np.r_[apart, apart], pairs.T.ravel()))
-    image = pairs.T.ravel()[order]
-    begin = np.searchsorted(image, image)
-    near = np.zeros(2 * len(pairs), dtype=np.bool_)
+    counted = apart > 0.0
+    distance, image = np.tile(apart[counted], 2), pairs[counted].T.ravel()
+    order = np.lexsort((distance, image))
+    begin = np.searchsorted(image[order], image[order])
+    near = np.zeros(len(image), dtype=np.bool_)
     near[order] = np.arange(len(image)) - begin < count
-    return np.asarray(near.reshape(2, -1).any(axis=0) | np.isnan(apart))
+    among: Flags = ~counted
+    among[counted] = near.reshape(2, -1).any(axis=0)
+    return among

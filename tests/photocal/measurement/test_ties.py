@@ -383,6 +383,20 @@ def test_pairs_of_nearest_images() -> None:
     assert near == expected
 
 
+def test_heads_of_a_rig_are_no_neighbours_of_one_another() -> None:
+    """Five at each place: with ten neighbours a picture goes with those of the two nearest places, too."""
+    heads, count = 5, 12
+    middles = np.random.default_rng(4).uniform(0.0, 100.0, (count, 2))
+    pairs = np.column_stack(np.triu_indices(heads * count, 1)).astype(np.int64)
+    near = among_nearest(np.repeat(middles, heads, axis=0), pairs, 2 * heads)
+    together = pairs[:, 0] // heads == pairs[:, 1] // heads
+    assert near[together].all()
+    for k in range(count):
+        _, *nearest = np.argsort(np.linalg.norm(middles - middles[k], axis=1)).tolist()
+        for j in nearest[:2]:
+            assert near[(pairs // heads == sorted((k, j))).all(axis=1)].all()
+
+
 def test_a_picture_that_was_saved_twice_is_no_second_observation(tmp_path: Path) -> None:
     texture = _texture(3, 500)
     paths = [tmp_path / f"{name}.png" for name in ("1", "1 (1)", "2", "of 1", "dark", "dark too")]
