@@ -129,15 +129,17 @@ def _as_lines(every_s: float, line: Callable[[Standing], str]) -> Iterator[Calla
         nonlocal last
         if now.elapsed_s - last >= every_s - 0.5:
             last = now.elapsed_s
-            print(line(now), file=sys.stderr, flush=True)
+            if said := line(now):
+                print(said, file=sys.stderr, flush=True)
 
     yield show
 
 
 def _in_words(words: Mapping[str, str], now: Standing) -> str:
-    doing = _doing(now, words)
+    # Whoever reads a file learns nothing from a run that is starting.
     if not math.isfinite(now.left_s):
-        return doing
+        return ""
+    doing = _doing(now, words)
     left = words.get(OF_RUN, OF_RUN).format(share=math.floor(100 * now.share), seconds=math.ceil(now.left_s))
     return f"{doing}: {left}" if doing else left
 
