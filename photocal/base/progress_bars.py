@@ -84,14 +84,23 @@ def one_bar(as_json: bool = False, words: Mapping[str, str] = MappingProxyType({
 def while_starting(bar: Bar) -> Iterator[None]:
     """Show a run that has begun before it knows its stages: modules take seconds to load from a slow disk."""
     began = time.monotonic()
+    # What starts at once, or is refused at once, says nothing of it.
+    quick_s = 0.5
 
     def standing() -> Standing:
         """Tell for how long it has been starting."""
         elapsed = time.monotonic() - began
         return Standing("", STARTING, None, None, elapsed, 0.0, math.nan, elapsed)
 
-    with bar() as show, followed(standing, show):
-        yield
+    with bar() as show:
+
+        def tell(now: Standing) -> None:
+            """Show it once it takes long."""
+            if now.elapsed_s > quick_s:
+                show(now)
+
+        with followed(standing, tell):
+            yield
 
 
 @contextmanager

@@ -124,11 +124,11 @@ def test_pictures_are_oriented_to_each_other_once_whatever_marks_change(
 ) -> None:
     """What is kept of it gives, to the last bit, what is found anew."""
     positions = STATIONS + np.random.default_rng(4).normal(0, 1.0, STATIONS.shape) if positioned else None
-    stored = set[int]()
-    for marks in (np.zeros((72, 2)), np.full((72, 2), 0.1), np.zeros((72, 2))):
-        kept = oriented(SURVEY, positions, marks, cache=tmp_path)
-        stored.add(len(list(tmp_path.rglob("*.npz"))))
-        anew = oriented(SURVEY, positions, marks)
+    stored, folder = set[int](), tmp_path / "kept"
+    for k, marks in enumerate((np.zeros((72, 2)), np.full((72, 2), 0.1), np.zeros((72, 2)))):
+        kept = oriented(SURVEY, positions, marks, cache=folder)
+        stored.add(len(list(folder.rglob("*.npz"))))
+        anew = oriented(SURVEY, positions, marks, cache=tmp_path / f"anew {k}")
         assert same(kept.adjusted.block, anew.adjusted.block)
     # Other marks add nothing to what is kept.
     assert len(stored) == 1
