@@ -129,7 +129,7 @@ else:
             names = getattr(os, "sysconf_names", {})
             known = "SC_PHYS_PAGES" in names and "SC_PAGE_SIZE" in names
             return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if known else None
-        return min(free, _of_container(), _of_limit())
+        return min(free, _of_groups(), _of_limit())
 
     def keep_memory() -> None:
         """Keep the memory of arrays for later ones: the system clears each page that it gives anew."""
@@ -149,16 +149,36 @@ else:
         pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
         return max(0, limit - pages * os.sysconf("SC_PAGE_SIZE"))
 
-    def _of_container(folder: Path = Path("/sys/fs/cgroup")) -> int:
-        """What a container leaves of its limit (caches give way); beyond all without a limit."""
+    def _of_groups(told: Path = Path("/proc/self/cgroup"), root: Path = Path("/sys/fs/cgroup")) -> int:
+        """What the control groups of this process leave of their limits; beyond all without a limit."""
+        left = sys.maxsize
         try:
-            limit, used = (
-                int((folder / name).read_text("ascii")) for name in ("memory.max", "memory.current")
-            )
+            lines = told.read_text("ascii").splitlines()
+        except (OSError, ValueError):
+            lines = ["0::/"]
+        for line in lines:
+            controllers, _, path = line.partition(":")[2].partition(":")
+            if controllers and "memory" not in controllers.split(","):
+                continue
+            base = root / "memory" if controllers else root
+            # Those that it is in bind it, too; a container shows its own at the root, whatever its path.
+            own = base / path.lstrip("/")
+            for folder in {base, own, *(parent for parent in own.parents if base in parent.parents)}:
+                left = min(left, _of_group(folder, _FIRST_GROUPS if controllers else _GROUPS))
+        return left
+
+    # Files of a control group, with its limit and what is used of it; of the latter, caches that give way.
+    _GROUPS = ("memory.max", "memory.current", "inactive_file")
+    _FIRST_GROUPS = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
+
+    def _of_group(folder: Path, names: tuple[str, str, str]) -> int:
+        """What one control group leaves; beyond all where it has no limit, or is not seen from here."""
+        try:
+            limit, used = (int((folder / name).read_text("ascii")) for name in names[:2])
             parts = dict(line.split() for line in (folder / "memory.stat").read_text("ascii").splitlines())
-            return limit - used + int(parts.get("inactive_file", 0))
         except (OSError, ValueError):
             return sys.maxsize
+        return max(0, limit - used + int(parts.get(names[2], 0)))
 
 
 def private_folder(folder: Path) -> Path:

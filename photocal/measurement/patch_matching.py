@@ -53,6 +53,27 @@ class _Rays(Columns):
     affinity: Floats
 
 
+# An image, and the middles of the patches to be cut there; the key that they are kept by comes first.
+_Cut = tuple[str, ImageSource, Floats]
+
+
+@dataclass(frozen=True)
+class _Patches:
+    """The patches of some rays: for each, which of the cuts has it, and in which row."""
+
+    cuts: Sequence[_Cut]
+    cut: Integers
+    row: Integers
+
+    def read(self) -> Floats32:
+        """Read them, shape (n, 23, 23)."""
+        patches = np.empty((len(self.row), 2 * HALF + 1, 2 * HALF + 1), dtype=np.float32)
+        for k, cut in enumerate(self.cuts):
+            own = self.cut == k
+            patches[own] = _cut_patches(cut)[self.row[own]]
+        return patches
+
+
 @dataclass(frozen=True)
 class _Surface:
     """The surface at each track, as its reference image shows it.
@@ -102,15 +123,14 @@ def refine(
         return replace(found, pixels=(found.pixels + 0.5) * back - 0.5, scale=found.scale * back.mean(axis=1))
     surface = _surface(views, tracks, points)
     inside = _inside(surface.middle, views.sizes()[surface.image])
-    patches = np.zeros((tracks.count, 2 * HALF + 1, 2 * HALF + 1), dtype=np.float32)
-    images = range(len(sources))
-    middles = [surface.middle[(surface.image == k) & inside] for k in images]
-    tasks = [
-        (source.key_of("patches", middle), source, middle)
-        for source, middle in zip(sources, middles, strict=True)
-    ]
-    for k, cut in enumerate(run_tasks(_cut_patches, tasks, processes, done, _at_hand)):
-        patches[(surface.image == k) & inside] = cut
+    cuts, row = list[_Cut](), np.zeros(tracks.count, dtype=np.int64)
+    for k, source in enumerate(sources):
+        own = (surface.image == k) & inside
+        row[own] = np.arange(np.count_nonzero(own))
+        cuts.append((source.key_of("patches", surface.middle[own]), source, surface.middle[own]))
+    # Each picture is matched with the patches of others: they are kept, and read where they are used. All of
+    # them would take two kilobytes a track here, and pass through here for each ray.
+    list(run_tasks(_keep_patches, cuts, processes, done, _at_hand))
 
     by_image = np.argsort(tracks.image, kind="stable")
     ends = np.cumsum(np.bincount(tracks.image, minlength=len(sources)))[:-1]
@@ -118,7 +138,7 @@ def refine(
     # A patch is known by its picture and its middle: its pixels are many times as much to digest.
     picture = np.array([int(combined_key(source.key)[:15], 16) for source in sources])[surface.image]
 
-    def jobs() -> Iterator[tuple[str, ImageSource, tuple[_Rays, Floats32]]]:
+    def jobs() -> Iterator[tuple[str, ImageSource, tuple[_Rays, _Patches]]]:
         """Give the work of each image: its own rays and those of its partners."""
         # Image by image, while others are matched: all rays at once would need more memory than pictures do.
         for k, source in enumerate(sources):
@@ -128,7 +148,8 @@ def refine(
             rays = _expected(views, k, np.flatnonzero(near & inside & (surface.image != k)), surface)
             of_patches = picture[rays.track], surface.middle[rays.track]
             key = source.key_of("matched", rays.place, rays.affinity, *of_patches)
-            yield key, source, (rays, patches[rays.track])
+            shown_by, reference = np.unique(surface.image[rays.track], return_inverse=True)
+            yield key, source, (rays, _Patches([cuts[j] for j in shown_by], reference, row[rays.track]))
 
     refined = list(run_tasks(_match_image, jobs(), processes, done, _at_hand))
     inner = np.flatnonzero(inside)
@@ -217,7 +238,14 @@ def _at_hand(task: tuple[str, ImageSource, object]) -> bool:
     return kept(source.cache, key)
 
 
-def _cut_patches(task: tuple[str, ImageSource, Floats]) -> Floats32:
+def _keep_patches(task: _Cut) -> None:
+    key, source, _ = task
+    if not kept(source.cache, key):
+        _cut_patches(task)
+
+
+def _cut_patches(task: _Cut) -> Floats32:
+    """The patches around some places of an image; from the cache, where they are kept."""
     key, source, middle = task
     side = np.arange(-HALF, HALF + 1)
     if not len(middle):
@@ -225,21 +253,21 @@ def _cut_patches(task: tuple[str, ImageSource, Floats]) -> Floats32:
     column, row = middle.astype(np.int64).T
 
     def make() -> Arrays:
-        """Cut the patches around some places of an image."""
+        """Cut them."""
         image = _smoothed(source)
         return {"patches": image[row[:, None, None] + side[None, :, None], column[:, None, None] + side]}
 
     return np.asarray(cached(source.cache, key, ("patches",), make)["patches"], dtype=np.float32)
 
 
-def _match_image(task: tuple[str, ImageSource, tuple[_Rays, Floats32]]) -> Tracks:
+def _match_image(task: tuple[str, ImageSource, tuple[_Rays, _Patches]]) -> Tracks:
     """Rays that were matched, with their sigmas as scale."""
     key, source, (rays, patches) = task
     if not len(rays.track):
         return Tracks(rays.track, rays.image, rays.place, np.zeros(0))
 
     names = ("index", "pixels", "sigma")
-    held = cached(source.cache, key, names, lambda: _matched(_smoothed(source), rays, patches))
+    held = cached(source.cache, key, names, lambda: _matched(_smoothed(source), rays, patches.read()))
     index = held["index"]
     return Tracks(rays.track[index], rays.image[index], held["pixels"], held["sigma"])
 

@@ -48,6 +48,37 @@ def test_memory_of_an_array_serves_the_next_one() -> None:
     assert int(made.stdout) < 32
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="control groups are those of Linux")
+@pytest.mark.parametrize("first", [False, True])
+def test_memory_that_control_groups_leave(tmp_path: Path, first: bool) -> None:
+    """Of both versions: the group of this process, those that it is in, and the container's own."""
+    from photocal.base.operating_system import _of_groups
+
+    base = tmp_path / "memory" if first else tmp_path
+    names = ("limit_in_bytes", "usage_in_bytes") if first else ("max", "current")
+    cached = "total_inactive_file" if first else "inactive_file"
+
+    def group(path: str, limit: object, used: int, inactive: int) -> None:
+        folder = base / path
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, value in zip(names, (limit, used), strict=True):
+            (folder / f"memory.{name}").write_text(f"{value}\n")
+        (folder / "memory.stat").write_text(f"cache 1\n{cached} {inactive}\n")
+
+    told = tmp_path / "cgroup"
+    told.write_text(f"9:name=systemd:/else\n{'4:cpu,memory' if first else '0:'}:/user/own\n")
+    assert _of_groups(told, tmp_path) == sys.maxsize
+    group("user/own", 9223372036854771712 if first else "max", 5, 0)
+    group("user", 10 * GIB, 7 * GIB, GIB)
+    assert _of_groups(told, tmp_path) == 4 * GIB
+    group("user/own", 4 * GIB, 2 * GIB, GIB)
+    assert _of_groups(told, tmp_path) == 3 * GIB
+    group("", 3 * GIB, 2 * GIB, 0)
+    assert _of_groups(told, tmp_path) == GIB
+    group("", 3 * GIB, 5 * GIB, 0)
+    assert _of_groups(told, tmp_path) == 0
+
+
 def test_as_many_processes_as_the_memory_bears(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: 8)
     for free, expected in ((2 * GIB, 1), (4 * GIB, 3), (64 * GIB, 8), (0, 1), (None, 8)):
