@@ -302,7 +302,7 @@ def test_lines_into_a_file(as_json: bool, monkeypatch: pytest.MonkeyPatch) -> No
         assert lines[-1] == "analysis: images: 50% of the run, 20 s left"
 
 
-@pytest.mark.parametrize(("as_json", "seconds"), [(True, 1.2), (True, 0.0), (False, 1.2)])
+@pytest.mark.parametrize(("as_json", "seconds"), [(True, 2.5), (True, 0.0), (False, 2.5)])
 def test_a_program_hears_of_a_run_before_that_knows_what_it_has_to_do(
     as_json: bool, seconds: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -315,7 +315,7 @@ def test_a_program_hears_of_a_run_before_that_knows_what_it_has_to_do(
         return
     told_now = json.loads(lines[0])["progress"]
     assert (told_now["title"], told_now["left_s"]) == (STARTING, None)
-    assert told_now["elapsed_s"] <= 1.1
+    assert 0.5 < told_now["elapsed_s"] < seconds
 
 
 @pytest.mark.parametrize(
