@@ -3,7 +3,7 @@
 import datetime as dt
 import sys
 from collections.abc import Callable, Container, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, PhotocalError, system_refusals
 from photocal.base.extensions import STAGES, brought
+from photocal.base.operating_system import give_back_memory
 from photocal.base.progress import Bar, Progress, followed, quiet, unseen
 from photocal.base.workers import Workers, run_tasks
 from photocal.block.folder import read_block
@@ -148,7 +149,7 @@ def run_project(
     needed = {FEATURES: not coded, CODED: coded, PLAIN: control.plain_targets, CONTROL: control.points}
     pieces = usual_pieces(size, [title for title, given in needed.items() if not given])
     course = Course(expected(last, last, size, pieces), progress, seen_s=sum(last.values()), pieces=pieces)
-    told = into(project.output / PROGRESS)
+    told, piece = into(project.output / PROGRESS), _giving_back(course.progress)
     with alone(project.output), bar() as show, followed(course.standing, told, show):
         digests = Digests(project.output / MEMORY, again=rehash)
         due = foreseen(wanted, project.output, digests, again)
@@ -165,9 +166,7 @@ def run_project(
                     if missing.isdisjoint(stage.after):
                         with system_refusals():
                             made.append(
-                                update_stage(
-                                    stage, project.output, digests, course.progress, again=stage.name == again
-                                )
+                                update_stage(stage, project.output, digests, piece, again=stage.name == again)
                             )
                         course.end(kept=made[-1].kept)
                         report(made[-1])
@@ -186,6 +185,20 @@ def run_project(
     if failure is not None:
         raise explained(project, failure) from failure
     return tuple(made)
+
+
+def _giving_back(progress: Progress) -> Progress:
+    """Give the system back what a piece of work leaves in memory, before workers or the next one need it."""
+
+    @contextmanager
+    def piece(title: str, total: float | None) -> Iterator[Callable[[float], None]]:
+        """Show the progress of a piece of work."""
+        give_back_memory()
+        with progress(title, total) as advance:
+            yield advance
+        give_back_memory()
+
+    return piece
 
 
 def _draw(

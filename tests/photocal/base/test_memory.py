@@ -40,6 +40,31 @@ np.ones(1 << 25)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
+# Resident memory with 400 MiB of small arrays, without them but for the last, and when that was given back.
+LEFT = """
+from pathlib import Path
+import numpy as np
+from photocal.base.operating_system import give_back_memory
+
+def resident():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+
+arrays = [np.ones(1 << 11) for _ in range(25_000)]
+held = resident()
+del arrays[:-1]
+left = resident()
+give_back_memory()
+print(held, left, resident())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux" or platform.libc_ver()[0] != "glibc", reason="another C library")
+def test_memory_that_arrays_leave_goes_back_to_the_system() -> None:
+    made = subprocess.run([sys.executable, "-c", LEFT], check=True, capture_output=True, text=True)
+    held, left, given_back = map(int, made.stdout.split())
+    assert left > 0.9 * held
+    assert given_back < held - (300 << 20)
+
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library")
 def test_memory_of_an_array_serves_the_next_one() -> None:
