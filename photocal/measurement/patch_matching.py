@@ -8,8 +8,10 @@ squares on the full images: the rays become precise, and rays that the features 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from photocal.base.arrays import Columns, Flags, Floats, Integers
 from photocal.base.workers import Workers, run_tasks
@@ -292,17 +294,35 @@ def _matched(image: Floats32, rays: _Rays, patches: Floats32) -> Arrays:
 def _joined(
     refined: list[Tracks], kept: Integers, reference: Integers, middle: Floats, conflicts: int
 ) -> Tracks:
-    track = np.concatenate([kept, *(f.track for f in refined)])
-    image = np.concatenate([reference, *(f.image for f in refined)])
-    pixels = np.concatenate([middle, *(f.pixels for f in refined)])
-    sigma = np.concatenate([np.full(len(kept), np.nan), *(f.scale for f in refined)])
+    """Join the rays of all images, which are taken out of `refined`: of many images they fill the memory."""
+    tracks, images, pixels, sigmas = ([kept], [reference], [middle], [np.full(len(kept), np.nan)])
+    while refined:
+        one = refined.pop(0)
+        tracks.append(one.track)
+        images.append(one.image)
+        pixels.append(one.pixels)
+        sigmas.append(one.scale)
+    track, sigma = _whole(tracks), _whole(sigmas)
     # The reference ray is as sure as its matches: their median.
     order = np.lexsort((sigma, track))
-    matched = np.bincount(track, minlength=int(track.max(initial=-1)) + 1) - 1
-    start = np.r_[0, np.cumsum(matched + 1)[:-1]]
+    rays = np.bincount(track, minlength=int(track.max(initial=-1)) + 1)
+    matched = rays - 1
+    start = np.r_[0, np.cumsum(rays)[:-1]]
     usable = matched[kept] > 0
     middle_ray = order[np.minimum(start[kept] + matched[kept] // 2, len(order) - 1)]
     sigma[: len(kept)] = np.where(usable, sigma[middle_ray], np.inf)
+    # A track of one ray is none; the others are numbered anew.
+    fewest = 2
+    stay = rays >= fewest
+    image = _whole(images)
     order = np.lexsort((image, track))
-    joined = Tracks(track[order], image[order], pixels[order], sigma[order], conflicts)
-    return joined.some(np.ones(len(order), dtype=np.bool_))
+    order = order[stay[track[order]]]
+    track, image, sigma = (np.cumsum(stay) - 1)[track[order]], image[order], sigma[order]
+    return Tracks(track, image, _whole(pixels)[order], sigma, conflicts)
+
+
+def _whole(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    """Parts as one array; they are taken out of the list."""
+    whole = np.concatenate(parts)
+    parts.clear()
+    return whole
