@@ -46,7 +46,7 @@ if sys.platform == "win32":
         """Do nothing: the C library here has no such choice."""
 
     def give_back_memory() -> None:
-        """Do nothing, as before."""
+        """Do nothing: the C library here has no such call."""
 
     def is_private(_: Path) -> bool:
         """Say that it is."""

@@ -295,13 +295,11 @@ def _joined(
     refined: list[Tracks], kept: Integers, reference: Integers, middle: Floats, conflicts: int
 ) -> Tracks:
     """Join the rays of all images, which are taken out of `refined`: of many images they fill the memory."""
-    tracks, images, pixels, sigmas = ([kept], [reference], [middle], [np.full(len(kept), np.nan)])
-    while refined:
-        one = refined.pop(0)
-        tracks.append(one.track)
-        images.append(one.image)
-        pixels.append(one.pixels)
-        sigmas.append(one.scale)
+    tracks = [kept, *(one.track for one in refined)]
+    images = [reference, *(one.image for one in refined)]
+    pixels = [middle, *(one.pixels for one in refined)]
+    sigmas = [np.full(len(kept), np.nan), *(one.scale for one in refined)]
+    refined.clear()
     track, sigma = _whole(tracks), _whole(sigmas)
     # The reference ray is as sure as its matches: their median.
     order = np.lexsort((sigma, track))

@@ -9,6 +9,7 @@ Usage: python -m tests.benchmarks.remaining_time [--pieces] PROJECT.toml ...
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -52,7 +53,9 @@ def told(project: Path) -> tuple[list[Told], float, float]:
             at_s = time.monotonic() - began
             now = json.loads(line).get("progress") if line.startswith("{") else None
             if now:
-                lines.append(Told(at_s, now["left_s"], now["stage"], now["title"]))
+                # While it starts it knows of no time.
+                left_s = math.nan if now["left_s"] is None else now["left_s"]
+                lines.append(Told(at_s, left_s, now["stage"], now["title"]))
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
         if process.returncode:

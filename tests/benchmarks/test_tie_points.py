@@ -61,11 +61,15 @@ HEAD = "           images tracks>2 4 rays rms_px sigma_px     c_px    EXIF_m    
 
 
 @pytest.mark.parametrize("flight", FLIGHTS)
-def test_tie_points_beside_colmap(flight: str, shared: Path, tmp_path: Path, benchmark: Any) -> None:
+def test_tie_points_beside_colmap(
+    flight: str, shared: Path, tmp_path: Path, benchmark: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("pycolmap", reason="the comparison needs pycolmap (pip install pycolmap)")
     folder = shared / "data" / flight
-    own = benchmark.pedantic(beside_colmap, args=(folder, tmp_path), rounds=1)
-    ours, peer = own["c free"], own["COLMAP"]
+    with capsys.disabled():
+        own = benchmark.pedantic(beside_colmap, args=(folder, tmp_path), rounds=1)
+        ours, peer = own["c free"], own["COLMAP"]
+        print(f"processor time {ours.processor_s / peer.processor_s:.2f} of COLMAP's")
     assert ours.images == peer.images == len(list_images(folder))
     assert ours.tracks >= peer.tracks
     assert ours.rms_px <= peer.rms_px

@@ -79,8 +79,8 @@ def test_an_overdue_stage_tells_of_those_after_it() -> None:
 
 
 # Recorded with nothing beside, nothing kept from before: pictures, their megapixels, seconds of each piece of
-# measuring and of the analysis with the calibration. What is usual was fitted to the first three, when the
-# program was slower; the others stood apart, but for the share of the analysis, which was chosen on all five.
+# measuring and of the analysis with the calibration, by an earlier version. What is usual was fitted to
+# simulated flights of 42 and 308 pictures; these stood apart, but for the share of the analysis.
 RECORDED = {
     "caliterra": ((12, 12.0), (6.0, 1.9, 4.2, 4.7, 0.9, 2.7), 1.3),
     "lewis": ((10, 12.0), (5.3, 1.6, 2.4, 2.1, 0.3, 0.8), 0.4),
