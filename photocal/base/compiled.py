@@ -84,7 +84,7 @@ def compile_all() -> None:
         "photocal.adjustment.compile as part; part.compile_shaking()",
         "photocal.adjustment.compile as part; part.compile_rolling()",
         "photocal.adjustment.compile as part; part.compile_usual()",
-        "photocal.measurement.patch_kernel as part; part.compile_kernels()",
+        "photocal.measurement.compile as part; part.compile_kernels()",
         "drivers.scan as part; part.compile_search()",
     )
     if not _side_by_side(parts):
@@ -102,7 +102,7 @@ def compile_most_used(progress: Progress) -> None:
         "photocal.adjustment.compile as part; part.compile_usual()",
         "photocal.adjustment.compile as part; part.compile_ahead()",
         "photocal.adjustment.compile as part; part.compile_rolling()",
-        "photocal.measurement.patch_kernel as part; part.compile_kernels()",
+        "photocal.measurement.compile as part; part.compile_kernels()",
     )
     with progress("compiling, once after installation", None):
         # What fails here is compiled where it is needed, and fails there with its reason.

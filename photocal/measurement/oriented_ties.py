@@ -29,7 +29,8 @@ from photocal.measurement.tie_block import (
     with_ties,
 )
 from photocal.measurement.tie_orientation import Placed, continued, oriented, position_sigmas, reweighted
-from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
+from photocal.measurement.thinning import spaced, thin
+from photocal.measurement.tracks import Tracks, of_images, without_twins
 
 # Cells along the longer side of an image; points in each that orient it at first, tracks that are matched
 # precisely, and points that are adjusted: more of them cost time, and what they have in common is no noise

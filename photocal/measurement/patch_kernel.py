@@ -246,12 +246,3 @@ def _composed(state: Floats, inverse: Floats, sums: Floats, scale: float) -> flo
     state[0] -= x
     state[1] -= y
     return float(x * x + y * y)
-
-
-def compile_kernels() -> None:
-    """Match one patch with the picture it was cut from, at setup: no measurement waits for the compiler."""
-    row, column = np.mgrid[:15, :15].astype(np.float32)
-    picture = np.sin(row) * np.cos(0.7 * column)
-    patches = np.ascontiguousarray(picture[None, 2:13, 2:13])
-    matched, likeness, covariance = np.empty((1, 2)), np.empty(1), np.zeros((1, 2, 2))
-    match_patches(patches, picture, np.full((1, 2), 7.0), np.eye(2)[None], 1.0, matched, likeness, covariance)

@@ -172,16 +172,21 @@ def fitting(block: Block) -> Flags:
 
 def intersected(views: OrientedImages, tracks: Tracks) -> Floats:
     """Points where the rays of tracks come closest, local, shape (tracks.count, 3); NaN where they do not."""
-    ideal, c = views.ideal(tracks.image, tracks.pixels)
-    rotation, station = views.at_lines(tracks.image, tracks.pixels)
-    return intersect(tracks.track, tracks.count, station, rotation, ideal, c)
+    points = np.empty((tracks.count, 3))
+    for which, _, some in tracks.pieces():
+        ideal, c = views.ideal(some.image, some.pixels)
+        rotation, station = views.at_lines(some.image, some.pixels)
+        points[which] = intersect(some.track, which.stop - which.start, station, rotation, ideal, c)
+    return points
 
 
 def reprojection_errors(views: OrientedImages, tracks: Tracks, points: Floats) -> Floats:
     """Distance of each ray from where its image should show its point, px; NaN where it cannot."""
-    return np.asarray(
-        np.hypot(*(views.project(tracks.image, points[tracks.track]) - tracks.pixels).T), dtype=np.float64
-    )
+    away = np.empty(len(tracks.track))
+    for which, rays, some in tracks.pieces():
+        shown = views.project(some.image, points[which][some.track])
+        away[rays] = np.hypot(*(shown - some.pixels).T)
+    return away
 
 
 def spread(views: OrientedImages, tracks: Tracks, points: Floats) -> Floats:

@@ -1,11 +1,10 @@
 """Tracks: the same place in many images, joined from matches of pairs."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_array
-from scipy.spatial import cKDTree
 
 from photocal.base.arrays import Columns, Flags, Floats, Integers
 from photocal.measurement.features import Features
@@ -43,6 +42,21 @@ class Tracks(Columns):
         stay = left >= fewest
         keep = rays & stay[self.track]
         return replace(self.rows(keep), track=(np.cumsum(stay) - 1)[self.track[keep]])
+
+    def pieces(self) -> Iterator[tuple[slice, slice, "Tracks"]]:
+        """The tracks in pieces: which tracks, which rays, and these by themselves.
+
+        What is computed of each ray takes some hundred bytes: of all at once that is gigabytes.
+        """
+        most_rays = 250_000
+        ends = np.cumsum(self.rays)
+        first, done = 0, 0
+        while first < len(ends):
+            last = max(first + 1, int(np.searchsorted(ends, done + most_rays, side="right")))
+            rays = slice(done, int(ends[last - 1]))
+            some = self.rows(rays)
+            yield slice(first, last), rays, replace(some, track=some.track - first)
+            first, done = last, rays.stop
 
 
 def join_tracks(features: Sequence[Features], pairs: Integers, matches: Sequence[Integers]) -> Tracks:
@@ -101,58 +115,6 @@ def of_images(tracks: Tracks, keep: Flags) -> Tracks:
     """Rays in some of the images only, which are numbered anew; `keep` (images,)."""
     left = tracks.some(keep[tracks.image])
     return replace(left, image=(np.cumsum(keep) - 1)[left.image])
-
-
-def thin(tracks: Tracks, sizes: Floats, cells: int, in_a_cell: int) -> Tracks:
-    """Keep strong points, evenly spread over each image.
-
-    Tracks with many rays come first; a track stays when it is among the first few in a cell of any of its
-    images.
-    """
-    side = sizes.max(axis=1)[tracks.image] / cells
-    order, starts = _strongest_first(tracks)
-    column, row = (np.maximum(tracks.pixels.T, 0.0) / side).astype(np.int64)
-    # Lists: of so few elements at a time arrays would take several times as long.
-    cell = ((tracks.image * (cells + 1) + column) * (cells + 1) + row).tolist()
-    filled, first = [0] * (max(cell, default=-1) + 1), starts.tolist()
-    keep = np.zeros(tracks.count, dtype=np.bool_)
-    for j in order.tolist():
-        own = cell[first[j] : first[j + 1]]
-        if any(filled[k] < in_a_cell for k in own):
-            keep[j] = True
-            for k in own:
-                filled[k] += 1
-    return tracks.some(keep[tracks.track])
-
-
-def spaced(tracks: Tracks, least_px: float) -> Tracks:
-    """Keep strong points of which no two are neighbours in an image.
-
-    Patches that overlap share pixels, and with them the errors of their places: neighbours say less than
-    their number.
-    """
-    pairs = [np.zeros((0, 2), dtype=np.int64)]
-    by_image = np.argsort(tracks.image, kind="stable")
-    for in_image in np.split(by_image, np.flatnonzero(np.diff(tracks.image[by_image])) + 1):
-        near = cKDTree(tracks.pixels[in_image]).query_pairs(least_px, output_type="ndarray")
-        pairs.append(tracks.track[in_image][near])
-    first, second = np.concatenate(pairs).T
-    links = np.ones(2 * len(first), dtype=np.bool_)
-    neighbours = csr_array(
-        (links, (np.r_[first, second], np.r_[second, first])), shape=(tracks.count, tracks.count)
-    )
-    beside, first = neighbours.indices.tolist(), neighbours.indptr.tolist()
-    keep = [False] * tracks.count
-    for j in _strongest_first(tracks)[0].tolist():
-        keep[j] = not any(keep[k] for k in beside[first[j] : first[j + 1]])
-    return tracks.some(np.array(keep, dtype=np.bool_)[tracks.track])
-
-
-def _strongest_first(tracks: Tracks) -> tuple[Integers, Integers]:
-    """Order of the tracks, many rays and small scale first; where the rays of each begin."""
-    starts = np.r_[np.flatnonzero(np.r_[True, np.diff(tracks.track) > 0]), len(tracks.track)]
-    finest = np.minimum.reduceat(tracks.scale, starts[:-1]) if tracks.count else np.zeros(0)
-    return np.lexsort((finest, -tracks.rays)), starts
 
 
 def _places(features: Features) -> Integers:

@@ -13,7 +13,8 @@ from PIL import Image
 
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.measurement.patch_kernel import compile_kernels, match_patches
+from photocal.measurement.compile import compile_kernels
+from photocal.measurement.patch_kernel import match_patches
 from photocal.measurement.patch_matching import ImageSource, refine
 from photocal.measurement.tie_block import intersected, reprojection_errors
 from photocal.measurement.tracks import Tracks, of_images, without_twins
@@ -189,7 +190,7 @@ def test_setup_compiles_what_the_matching_calls(tmp_path: Path, monkeypatch: pyt
     def told(*arguments: object) -> None:
         calls.append([str(typeof(one)) for one in arguments])  # type: ignore[no-untyped-call]
 
-    monkeypatch.setattr("photocal.measurement.patch_kernel.match_patches", told)
+    monkeypatch.setattr("photocal.measurement.compile.match_patches", told)
     compile_kernels()
     views = _views(np.array([[-4.0, 0, 40], [4.0, 0, 40]]), np.zeros(2))
     exact = views.project(np.array([0, 1]), np.zeros((2, 3)))

@@ -10,6 +10,8 @@ from typing import Protocol
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 from pyproj import Geod
@@ -29,7 +31,8 @@ from photocal.measurement.match_images import (
     same_pictures,
 )
 from photocal.measurement.pair_matching import match, mutual_matches, search_windows
-from photocal.measurement.tracks import Tracks, in_common, join_tracks, spaced, thin
+from photocal.measurement.thinning import spaced, thin
+from photocal.measurement.tracks import Tracks, in_common, join_tracks
 
 
 class Answer(Protocol):
@@ -489,3 +492,30 @@ def test_the_strongest_points_stay() -> None:
         np.full(7, 0.05),
     )
     assert spaced(tracks, 20.0).rays.tolist() == [3, 2]
+
+
+@given(st.integers(0, 10_000), st.integers(1, 5), st.floats(5.0, 60.0))
+@settings(max_examples=25)
+def test_thinning_is_what_its_rule_says_track_by_track(seed: int, in_a_cell: int, least_px: float) -> None:
+    """Beside loops over all tracks and rays; places may lie before the first pixel."""
+    rng = np.random.default_rng(seed)
+    count = 60
+    rays = rng.integers(2, 5, count)
+    image = np.concatenate([np.sort(rng.choice(4, n, replace=False)) for n in rays])
+    track = np.repeat(np.arange(count), rays)
+    tracks = Tracks(track, image, rng.uniform(-30, 300, (len(track), 2)), rng.uniform(0.1, 1, len(track)))
+    order = sorted(range(tracks.count), key=lambda j: (-tracks.rays[j], tracks.scale[track == j].min()))
+    filled, stays, apart = dict[tuple[int, ...], int](), list[int](), list[int]()
+    for j in order:
+        mine = np.flatnonzero(track == j)
+        cells = [(image[k], *np.floor(np.maximum(tracks.pixels[k], 0) / 50)) for k in mine]
+        if any(filled.get(cell, 0) < in_a_cell for cell in cells):
+            stays.append(j)
+            filled |= {cell: filled.get(cell, 0) + 1 for cell in cells}
+        others = np.flatnonzero(np.isin(track, apart))
+        away = np.hypot(*(tracks.pixels[mine, None] - tracks.pixels[others]).transpose(2, 0, 1))
+        if not ((away <= least_px) & (image[mine, None] == image[others])).any():
+            apart.append(j)
+    sizes = np.full((4, 2), 300.0)
+    for made, kept in ((thin(tracks, sizes, 6, in_a_cell), stays), (spaced(tracks, least_px), apart)):
+        assert made.pixels.tolist() == tracks.pixels[np.isin(track, kept)].tolist()
