@@ -20,6 +20,7 @@ from photocal.measurement.control_fit import fit_control, not_used
 from photocal.measurement.features import made_once
 from photocal.measurement.image_file import left_out_entry
 from photocal.measurement.patch_matching import HALF, ImageSource, refine
+from photocal.measurement.thinning import spaced, thin
 from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties, adjusted_again
 from photocal.measurement.tie_block import (
     GROSS,
@@ -29,7 +30,6 @@ from photocal.measurement.tie_block import (
     with_ties,
 )
 from photocal.measurement.tie_orientation import Placed, continued, oriented, position_sigmas, reweighted
-from photocal.measurement.thinning import spaced, thin
 from photocal.measurement.tracks import Tracks, of_images, without_twins
 
 # Cells along the longer side of an image; points in each that orient it at first, tracks that are matched

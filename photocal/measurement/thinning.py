@@ -74,7 +74,9 @@ def _strongest_first(tracks: Tracks) -> tuple[Integers, Integers]:
 
 
 @compiled
-def _fill(order: Integers, starts: Integers, cell: Integers, most: int, filled: Integers, keep: Flags) -> None:
+def _fill(
+    order: Integers, starts: Integers, cell: Integers, most: int, filled: Integers, keep: Flags
+) -> None:
     """Keep tracks while a cell of theirs has room; `filled` counts those of each cell."""
     for track in order:
         room = False

@@ -17,8 +17,6 @@ from photocal.measurement.marking.store import MarkStore, scene_of_folder
 from photocal.measurement.marking.tiles import coarsest_level
 
 WIDTH, HEIGHT = 8660, 5773
-# What the marking page promises.
-LONGEST_S = 1.0
 
 
 @pytest.fixture(scope="module")
@@ -56,5 +54,3 @@ def test_first_tile(pictures: Path, tmp_path: Path, benchmark: pytest.FixtureReq
     for server in servers:
         server.__exit__(None, None, None)  # type: ignore[attr-defined]
     benchmark.extra_info["megapixels"] = WIDTH * HEIGHT / 1e6  # type: ignore[attr-defined]
-    if which == "overview":
-        assert benchmark.stats.stats.median < LONGEST_S  # type: ignore[attr-defined]

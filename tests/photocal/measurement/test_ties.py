@@ -293,8 +293,8 @@ def test_an_object_is_made_anew_of_other_data_and_by_other_code(
         return made_once(tmp_path, tuple[str, float], (given, "a"), make)
 
     flat, square = np.array([1.0, np.inf, 3.0, 4.0]), np.array([[1.0, np.inf], [3.0, 4.0]])
-    for given in (flat, square, flat, square):
-        assert of(given) == (str(given.shape), np.inf)
+    for values in (flat, square, flat, square):
+        assert of(values) == (str(values.shape), np.inf)
     assert len(made) == 2
     monkeypatch.setattr("photocal.measurement.features.program", lambda _: {"version": "another"})
     assert of(flat) == ("(4,)", np.inf)
