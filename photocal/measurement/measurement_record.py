@@ -75,8 +75,8 @@ def tie_record(tracked: ImageTracks, oriented: Oriented) -> dict[str, Any]:
         "tracks": {
             "of_features": tracked.tracks.count,
             "conflicts_removed": tracked.tracks.conflicts,
-            "all": oriented.verified.count,
-            "three_and_more_rays": int(np.count_nonzero(oriented.verified.rays >= 3)),
+            "all": len(oriented.verified),
+            "three_and_more_rays": int(np.count_nonzero(oriented.verified >= 3)),
         },
         "pixel_origin": PIXEL_ORIGIN,
         "points": final.tracks.count,

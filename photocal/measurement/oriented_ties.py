@@ -57,13 +57,14 @@ class Oriented:
 
     by_rays: before marks were used. All that is found in the images comes of it, so that a mark that moves
         leaves the cached tie points as they are.
-    verified: all tracks that fit the orientation, before they were thinned.
+    verified (n,): rays that fit the orientation, of each track that two and more of them see, before tracks
+        are thinned.
     marked: the images with the control and the marks that fit.
     """
 
     adjusted: AdjustedTies
     by_rays: AdjustedTies
-    verified: Tracks
+    verified: Integers
     marked: Block
     left_out: tuple[dict[str, str], ...]
     findings: tuple[Finding, ...]
@@ -135,7 +136,7 @@ def _with_marks(alone: AdjustedTies, findings: list[Finding], marked: Block) -> 
         findings = [*findings, *position_sigmas(as_stated, final.values, shifted=shifted)[2]]
     elif marked.datum != "free" and NOT_PLACED not in findings:
         findings = [*findings, NOT_PLACED]
-    return Oriented(final, alone, final.tracks, fits, final.left_out, tuple(findings))
+    return Oriented(final, alone, final.tracks.rays, fits, final.left_out, tuple(findings))
 
 
 def _with_control(
@@ -339,9 +340,11 @@ def _partners(pairs: Integers, kept: Integers, count: int) -> list[Integers]:
     return [np.unique(np.r_[both[both[:, 0] == k, 1], both[both[:, 1] == k, 0]]) for k in range(len(kept))]
 
 
-def _verified(final: AdjustedTies, tracks: Tracks) -> Tracks:
-    """All tracks whose rays fit the final orientation."""
+def _verified(final: AdjustedTies, tracks: Tracks) -> Integers:
+    """Rays that fit the final orientation, of each track that two and more of them see."""
     views = _views(final)
-    points = intersected(views, tracks)
+    away = reprojection_errors(views, tracks, intersected(views, tracks))
     with np.errstate(invalid="ignore"):
-        return tracks.some(reprojection_errors(views, tracks, points) < GROSS * np.sqrt(2) * final.tie_sigma)
+        fit = away < GROSS * np.sqrt(2) * final.tie_sigma
+    rays = np.bincount(tracks.track[fit], minlength=tracks.count)
+    return np.asarray(rays[rays >= 2])

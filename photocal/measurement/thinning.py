@@ -128,7 +128,7 @@ def _near(ray: int, pixels: Floats, cell: int, least_px: float, grid: _Cells) ->
 @inlined
 def _place(grid: _Cells, line: int, cell: int) -> int:
     """Where a cell stands among those of its line, or would stand."""
-    low, high = grid.begins[line], grid.begins[line + 1]
+    low, high = int(grid.begins[line]), int(grid.begins[line + 1])
     while low < high:
         middle = (low + high) // 2
         if grid.cells[middle] < cell:

@@ -16,6 +16,7 @@ from photocal.adjustment.start.model import UNLIKE, robust_adjustment
 from photocal.adjustment.state import State, start_state
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import IllPosedError, NotConvergedError, PhotocalError
+from photocal.base.operating_system import give_back_memory
 from photocal.base.policy import policy
 from photocal.block.model import Block, Images
 from photocal.block.network import NetworkOfBlock, assemble
@@ -173,6 +174,8 @@ def adjusted_again(before: AdjustedTies, start: Block, poses: Floats) -> Adjuste
 
 def _adjusted(start: Block, poses: Floats, tracks: Tracks, sigma: Floats | None, near: float) -> AdjustedTies:
     total, given = len(tracks.track), start.cameras
+    # What chose and placed the rays took more than they do.
+    give_back_memory()
     ties = _fitting_ties(start, poses, tracks, sigma, near)
     # Readouts that the network did not bear while rays still fell out are tested once more.
     ties, block = replace(ties, start=_opened(ties.start, given)).held()

@@ -40,6 +40,9 @@ class Tracks(Columns):
         """Keep some of the rays, and of those the tracks with enough of them; tracks are numbered anew."""
         left = np.bincount(self.track[rays], minlength=self.count)
         stay = left >= fewest
+        # Of millions of rays a copy of the same takes hundreds of megabytes.
+        if rays.all() and stay.all():
+            return self
         keep = rays & stay[self.track]
         return replace(self.rows(keep), track=(np.cumsum(stay) - 1)[self.track[keep]])
 
@@ -114,6 +117,8 @@ def without_twins(tracks: Tracks, apart_px: float) -> Tracks:
 def of_images(tracks: Tracks, keep: Flags) -> Tracks:
     """Rays in some of the images only, which are numbered anew; `keep` (images,)."""
     left = tracks.some(keep[tracks.image])
+    if keep.all():
+        return left
     return replace(left, image=(np.cumsum(keep) - 1)[left.image])
 
 
