@@ -144,38 +144,39 @@ def object_of(
 def packed(value: Any) -> dict[str, NDArray[Any]]:
     """Take an object apart for `numpy.savez`: its arrays as they are, all else as JSON; see `unpacked`."""
     arrays: dict[str, NDArray[Any]] = {}
-
-    def plain(part: Any) -> Any:
-        """A part as JSON has it, with its arrays by number."""
-        if isinstance(part, np.ndarray):
-            # As they are read again: sums over rows depend on how they lie.
-            arrays[str(len(arrays))] = np.asarray(part, order="C")
-            return {_ARRAY: str(len(arrays) - 1), "kind": part.dtype.str, "shape": part.shape}
-        if is_dataclass(part):
-            return {field.name: plain(getattr(part, field.name)) for field in fields(part)}
-        if isinstance(part, Mapping):
-            return {key: plain(each) for key, each in part.items()}
-        if isinstance(part, list | tuple):
-            return [plain(each) for each in part]
-        return part.item() if isinstance(part, np.generic) else part
-
-    text = json.dumps(plain(value))
+    text = json.dumps(_plain(value, arrays))
     return {_ALL_ELSE: np.frombuffer(text.encode(), dtype=np.uint8), **arrays}
+
+
+# A function within another that calls itself would hold the arrays until the next search for garbage.
+def _plain(part: Any, arrays: dict[str, NDArray[Any]]) -> Any:
+    """A part as JSON has it; its arrays are added by number."""
+    if isinstance(part, np.ndarray):
+        # As they are read again: sums over rows depend on how they lie.
+        arrays[str(len(arrays))] = np.asarray(part, order="C")
+        return {_ARRAY: str(len(arrays) - 1), "kind": part.dtype.str, "shape": part.shape}
+    if is_dataclass(part):
+        return {field.name: _plain(getattr(part, field.name), arrays) for field in fields(part)}
+    if isinstance(part, Mapping):
+        return {key: _plain(each, arrays) for key, each in part.items()}
+    if isinstance(part, list | tuple):
+        return [_plain(each, arrays) for each in part]
+    return part.item() if isinstance(part, np.generic) else part
 
 
 def unpacked(kind: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
     """Make the object of a kind again that `packed` took apart."""
+    return from_plain(kind, _whole(json.loads(arrays[_ALL_ELSE].tobytes()), arrays))
 
-    def whole(part: Any) -> Any:
-        """A part of the JSON with its arrays."""
-        if isinstance(part, dict):
-            if _ARRAY in part:
-                return arrays[part[_ARRAY]]
-            return {key: whole(each) for key, each in part.items()}
-        # Figures of findings name several things by tuples.
-        return tuple(map(whole, part)) if isinstance(part, list) else part
 
-    return from_plain(kind, whole(json.loads(arrays[_ALL_ELSE].tobytes())))
+def _whole(part: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
+    """A part of the JSON with its arrays."""
+    if isinstance(part, dict):
+        if _ARRAY in part:
+            return arrays[part[_ARRAY]]
+        return {key: _whole(each, arrays) for key, each in part.items()}
+    # Figures of findings name several things by tuples.
+    return tuple(_whole(each, arrays) for each in part) if isinstance(part, list) else part
 
 
 def from_plain(kind: Any, value: Any, place: str = "", null: float | None = math.nan) -> Any:

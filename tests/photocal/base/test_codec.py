@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from typing_extensions import TypeAliasType
 
 from photocal.base.codec import from_plain, packed, same, unpacked
@@ -43,3 +46,17 @@ def test_an_object_that_was_packed_is_the_same_again(tmp_path: Path) -> None:
     # Some of its standard deviations are infinite, some of its values are unknown.
     assert np.isinf(block.images.sigma).any()
     assert same(again, block)
+
+
+def test_nothing_is_left_of_what_was_packed_and_unpacked() -> None:
+    """Of millions of rays it would be hundreds of megabytes, until garbage is next searched for."""
+    gc.disable()
+    try:
+        taken = np.zeros(3)
+        arrays = packed({"part": taken})
+        made = unpacked(dict[str, NDArray[Any]], arrays)
+        left = [weakref.ref(taken), weakref.ref(made["part"]), weakref.ref(next(iter(arrays.values())))]
+        del taken, arrays, made
+        assert [ref() for ref in left] == [None, None, None]
+    finally:
+        gc.enable()
