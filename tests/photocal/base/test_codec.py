@@ -57,6 +57,6 @@ def test_nothing_is_left_of_what_was_packed_and_unpacked() -> None:
         made = unpacked(dict[str, NDArray[Any]], arrays)
         left = [weakref.ref(taken), weakref.ref(made["part"]), weakref.ref(next(iter(arrays.values())))]
         del taken, arrays, made
-        assert [ref() for ref in left] == [None, None, None]
+        assert all(ref() is None for ref in left)
     finally:
         gc.enable()
