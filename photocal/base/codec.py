@@ -144,23 +144,23 @@ def object_of(
 def packed(value: Any) -> dict[str, NDArray[Any]]:
     """Take an object apart for `numpy.savez`: its arrays as they are, all else as JSON; see `unpacked`."""
     arrays: dict[str, NDArray[Any]] = {}
-    text = json.dumps(_plain(value, arrays))
+    text = json.dumps(_apart(value, arrays))
     return {_ALL_ELSE: np.frombuffer(text.encode(), dtype=np.uint8), **arrays}
 
 
 # A function within another that calls itself would hold the arrays until the next search for garbage.
-def _plain(part: Any, arrays: dict[str, NDArray[Any]]) -> Any:
+def _apart(part: Any, arrays: dict[str, NDArray[Any]]) -> Any:
     """A part as JSON has it; its arrays are added by number."""
     if isinstance(part, np.ndarray):
         # As they are read again: sums over rows depend on how they lie.
         arrays[str(len(arrays))] = np.asarray(part, order="C")
         return {_ARRAY: str(len(arrays) - 1), "kind": part.dtype.str, "shape": part.shape}
     if is_dataclass(part):
-        return {field.name: _plain(getattr(part, field.name), arrays) for field in fields(part)}
+        return {field.name: _apart(getattr(part, field.name), arrays) for field in fields(part)}
     if isinstance(part, Mapping):
-        return {key: _plain(each, arrays) for key, each in part.items()}
+        return {key: _apart(each, arrays) for key, each in part.items()}
     if isinstance(part, list | tuple):
-        return [_plain(each, arrays) for each in part]
+        return [_apart(each, arrays) for each in part]
     return part.item() if isinstance(part, np.generic) else part
 
 

@@ -169,6 +169,8 @@ def systematic_errors(
         these = candidates(given, table, against)
         done()
     accepted, search = _placed(search, search.chosen(alone), table, against)
+    # Candidates hold fields of all rays: those of the last search go before the next ones are made.
+    del these
     last, errors, confirmed = given, list[SystematicError](), list[Cause]()
     total = dict[tuple[str, str], float]()
     for turn in range(_CONFIRMED):
@@ -189,7 +191,9 @@ def systematic_errors(
         if turn + 1 == _CONFIRMED:
             break
         fields = tuple(cause.key for cause in confirmed if cause.field is not None)
-        search = Selection(candidates(last, left_to_seek(table, confirmed), None, fields), search.stated)
+        stated = search.stated
+        del search
+        search = Selection(candidates(last, left_to_seek(table, confirmed), None, fields), stated)
         accepted = search.chosen(search.beside(()))
     errors = [_told(error, total, given, last, alone=len(errors) == 1) for error in errors]
     memory = memory_of(last)

@@ -197,8 +197,7 @@ def _further(at: Factored, residuals: Floats, added: Added) -> tuple[Floats, Flo
     steps_c, moved_c = _of_control(at, point, rows)
     own = np.zeros((t + p + k, t + p + k))
     ray, position, control = slice(0, t), slice(t, t + p), slice(t + p, t + p + k)
-    weighted = flat * weight.ravel()
-    whole = weighted @ flat.T
+    whole, slope_r = _gathered(flat, weight.ravel(), residuals.ravel())
     own[ray, ray] = whole - reduced_r @ steps_r.T
     own[ray, ray] -= points_r.reshape(t, -1) @ moved_r.reshape(t, -1).T
     own[position, position] = added.positions @ added.positions.T - reduced_p @ steps_p.T
@@ -212,9 +211,22 @@ def _further(at: Factored, residuals: Floats, added: Added) -> tuple[Floats, Flo
     same = (point[:, None] == point[None, :]) * rows[:, axis]
     own[control, control] = same - np.einsum("ka,ika->ki", rows, moved_c)
     off = (state.points - points.values)[point]
-    slope = np.concatenate([weighted @ residuals.ravel(), slope_p, np.einsum("ka,ka->k", rows, off)])
+    slope = np.concatenate([slope_r, slope_p, np.einsum("ka,ka->k", rows, off)])
     lengths = [np.diag(whole), np.sum(added.positions**2, axis=1), rows[np.arange(k), axis]]
     return np.vstack([steps_r, steps_p, steps_c]), (own + own.T) / 2, slope, np.concatenate(lengths)
+
+
+def _gathered(fields: Floats, weight: Floats, residuals: Floats) -> tuple[Floats, Floats]:
+    """Normal equations (t, t) of fields of the image coordinates, and their slopes (t,)."""
+    # Of all coordinates at once the weighted fields are as large as the fields themselves.
+    most = 1 << 19
+    matrix, slope = np.zeros((len(fields), len(fields))), np.zeros(len(fields))
+    for first in range(0, fields.shape[1], most):
+        some = slice(first, first + most)
+        weighted = fields[:, some] * weight[some]
+        matrix += weighted @ fields[:, some].T
+        slope += weighted @ residuals[some]
+    return matrix, slope
 
 
 def _of_positions(at: Factored, fields: Floats) -> tuple[Floats, Floats]:
