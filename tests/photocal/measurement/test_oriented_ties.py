@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from photocal.base.errors import IllPosedError
+from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, Images
 from photocal.geometry.camera import PARAMETERS, among, camera, plane_to_pixel
 from photocal.geometry.oriented_images import OrientedImages, oriented_images
-from photocal.measurement.oriented_ties import _views, first_orientation, orient_ties
+from photocal.measurement.oriented_ties import OF_RAY, _adjusted, _views, first_orientation, orient_ties
 from photocal.measurement.tie_adjustment import _Ties, _where_rays_meet, adjust_ties, adjusted_again
 from photocal.measurement.tie_block import intersected, place, rescaled_poses, with_ties, without_single_rays
 from photocal.measurement.tie_orientation import oriented, position_sigmas
@@ -349,3 +349,17 @@ def test_rays_are_not_to_blame_for_a_wrong_principal_distance() -> None:
     assert freed.start.cameras[0].value("c") == pytest.approx(900.0, abs=0.1)
     assert freed.tie_sigma == pytest.approx(alone.tie_sigma, rel=0.05)
     assert freed.rejected <= 1e-3 * len(tracks.track)
+
+
+def test_rays_that_the_memory_does_not_hold_are_refused_before_they_are_adjusted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    places = np.array([[-10.0, 0.0, 40.0], [0.0, 1.0, 40.0], [10.0, 0.0, 41.0], [0.0, 9.0, 40.0]])
+    tracks = _tracks(places, tilt=0.02)
+    oriented_block = first_orientation(_block(places), tracks).by_rays
+    for free in (None, OF_RAY * len(tracks.track)):
+        monkeypatch.setattr("photocal.measurement.oriented_ties.available_memory", lambda free=free: free)
+        rays = len(_adjusted(oriented_block, tracks, None).tracks.track)
+    monkeypatch.setattr("photocal.measurement.oriented_ties.available_memory", lambda: OF_RAY * rays - 1)
+    with pytest.raises(ConfigurationError, match=f"{rays} rays of tie points take about 0.0 GB of memory"):
+        _adjusted(oriented_block, tracks, None)
