@@ -1,13 +1,16 @@
 """What may be wrong with measured image coordinates: a field of displacements for each suspicion."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from itertools import islice
 
 import numpy as np
 
 from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Flags, Floats, Integers
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.distortion import undistorted
 
@@ -26,10 +29,7 @@ class RayField:
     """A systematic error of the image coordinates with one unknown amount.
 
     code, parameter: of the table; the term that is missing, or the first image after a change; else empty.
-    displacement (n, 2): what must be added to the measured image plane coordinates for an amount of 1; zero
-        for rays of other cameras. It is a function of the computed coordinates: of the measured ones, a field
-        that shrinks the image would shrink the errors of measurement, too, and explain something in every
-        block.
+    made: gives its displacements; of millions of rays all fields at once take gigabytes.
     unit: of the amount, where it is not the camera's.
     most: the largest amount that nature makes.
     """
@@ -37,9 +37,19 @@ class RayField:
     code: str
     parameter: str
     camera: int
-    displacement: Floats
+    made: Callable[[], Floats]
     unit: str = ""
     most: float = np.inf
+
+    @property
+    def displacement(self) -> Floats:
+        """What must be added to the measured image plane coordinates for an amount of 1, shape (n, 2).
+
+        Zero for rays of other cameras. It is a function of the computed coordinates: of the measured ones, a
+        field that shrinks the image would shrink the errors of measurement, too, and explain something in
+        every block.
+        """
+        return self.made()
 
     @property
     def name(self) -> str:
@@ -82,7 +92,8 @@ def ray_fields(adjusted: AdjustedNetwork, near: str = "") -> tuple[RayField, ...
             continue
         current = camera.with_values(state.cameras[k])
         listed += [
-            RayField(code, term, k, at * of_camera) for code, term, at in _of_camera(current, computed)
+            RayField(code, term, k, partial(_of_term, current, computed, of_camera, code, term))
+            for code, term in _missing(current)
         ]
         if not camera.rolling:
             listed += _rolling_shutter(adjusted, k)
@@ -96,15 +107,21 @@ def _change_of_c(network: Network, state: State, computed: Floats, camera: int, 
     order = order_of(exposures.time, np.flatnonzero(exposures.camera == camera))
     of_camera = exposures.camera[image] == camera
     change = change_of(state.cameras[camera], computed, "c") * of_camera[:, None]
+    scaled = partial(_scaled, image, change)
     at = course(order, len(network.image_names))
     listed = []
     if len(order) >= PARTS * FEWEST_IMAGES:
-        listed.append(RayField("c-drift", "", camera, -at[image][:, None] * change))
+        listed.append(RayField("c-drift", "", camera, partial(scaled, -at)))
     for first in places_of_change(network, order, near):
         side = np.where(at < at[order[first]], -0.5, 0.5)
         name = network.image_names[order[first]]
-        listed.append(RayField("camera-change", name, camera, -side[image][:, None] * change))
+        listed.append(RayField("camera-change", name, camera, partial(scaled, -side)))
     return listed
+
+
+def _scaled(image: Integers, change: Floats, of_image: Floats) -> Floats:
+    """A change of image coordinates times an amount for each image."""
+    return np.asarray(of_image[image][:, None] * change)
 
 
 def places_of_change(network: Network, order: Integers, near: str = "") -> list[int]:
@@ -135,41 +152,57 @@ def places_of_change(network: Network, order: Integers, near: str = "") -> list[
     return [int(place) for place in fine]
 
 
-def _of_camera(camera: Camera, plane: Floats) -> list[tuple[str, str, Floats]]:
-    zero = np.zeros(len(plane))
-    ideal, lens = camera.model == "brown-ideal", camera.lens
+def _missing(camera: Camera) -> list[tuple[str, str]]:
+    """Code and parameter of the terms that a camera does not estimate."""
+    lens = camera.lens
+    estimated = {name for name, is_so in zip(PARAMETERS, camera.estimated, strict=True) if is_so}
+    scale_term, shear_term = ("B2", "B1") if camera.affinity_form == "tank" else ("B1", "B2")
+    terms = [("y-scale", "")] * (scale_term not in estimated) + [("shear", "")] * (
+        shear_term not in estimated
+    )
+    orders = (f"K{n}" for n in (1, 2, 3, 4) if f"K{n}" in lens.terms and f"K{n}" not in estimated)
+    terms += [("radial", order) for order in islice(orders, 1)]
+    return terms + [("decentring", n) for n in ("P1", "P2") if n in lens.terms and n not in estimated]
+
+
+def _of_term(camera: Camera, plane: Floats, own: Flags, code: str, parameter: str) -> Floats:
+    """Displacement by a unit of a term of a camera, of its own rays."""
+    zero, lens = np.zeros(len(plane)), camera.lens
+    if code in ("y-scale", "shear"):
+        of_y = (zero, plane[:, 1]) if code == "y-scale" else (plane[:, 1], zero)
+        return np.asarray(np.column_stack(of_y) * own)
+    ideal = camera.model == "brown-ideal"
     x, y = (undistorted(camera, plane) if ideal else plane - camera.values[1:3]).T
     # Coefficients without unit: those of coordinates over c.
     scale = camera.value("c") if lens.relative else 1.0
     x, y = x / scale, y / scale
-    estimated = {name for name, is_so in zip(PARAMETERS, camera.estimated, strict=True) if is_so}
-    scale_term, shear_term = ("B2", "B1") if camera.affinity_form == "tank" else ("B1", "B2")
-    terms = []
-    if scale_term not in estimated:
-        terms.append(("y-scale", "", np.column_stack([zero, plane[:, 1]])))
-    if shear_term not in estimated:
-        terms.append(("shear", "", np.column_stack([plane[:, 1], zero])))
     r2 = x * x + y * y
-    orders = (n for n in (1, 2, 3, 4) if f"K{n}" in lens.terms and f"K{n}" not in estimated)
-    if (order := next(orders, None)) is not None:
+    if code == "radial":
+        order = int(parameter[1])
         power = order / 2 if camera.model == "pix4d-fisheye" else order
-        terms.append(("radial", f"K{order}", scale * np.column_stack([x, y]) * (r2**power)[:, None]))
-    if "P1" in lens.terms and "P1" not in estimated:
-        terms.append(("decentring", "P1", scale * np.column_stack([r2 + 2 * x * x, 2 * x * y])))
-    if "P2" in lens.terms and "P2" not in estimated:
-        terms.append(("decentring", "P2", scale * np.column_stack([2 * x * y, r2 + 2 * y * y])))
-    return terms
+        at = np.column_stack([x, y]) * (r2**power)[:, None]
+    elif parameter == "P1":
+        at = np.column_stack([r2 + 2 * x * x, 2 * x * y])
+    else:
+        at = np.column_stack([2 * x * y, r2 + 2 * y * y])
+    return np.asarray(scale * at * own)
 
 
 def _rolling_shutter(adjusted: AdjustedNetwork, camera: int) -> list[RayField]:
     """Give minus the image motion while the rows are read: per second, or per exposure interval."""
-    network, state, q = adjusted.network, adjusted.state, adjusted.seen
+    network = adjusted.network
     images = np.flatnonzero(network.exposures.camera == camera)
     if len(images) < FEWEST_IMAGES + 1:
         return []
-    motion, unit = _velocity(network, state, images)
+    motion, unit = _velocity(network, adjusted.state, images)
     if motion is None:
         return []
+    return [RayField("rolling-shutter", "", camera, partial(_while_read, adjusted, camera, motion), unit)]
+
+
+def _while_read(adjusted: AdjustedNetwork, camera: int, motion: Floats) -> Floats:
+    """Displacement by a unit of the readout of a camera whose images move."""
+    network, state, q = adjusted.network, adjusted.state, adjusted.seen
     interior, image = network.cameras[camera], network.rays.image
     dq = -np.einsum("nij,nj->ni", state.rotation, motion)[image]
     c = state.cameras[camera, 0]
@@ -177,7 +210,7 @@ def _rolling_shutter(adjusted: AdjustedNetwork, camera: int) -> list[RayField]:
     # Rows are read from the top; the middle row is the reference.
     late = -adjusted.computed[:, 1] / (interior.size_px[1] * interior.pitch[1])
     own = (network.exposures.camera[image] == camera)[:, None]
-    return [RayField("rolling-shutter", "", camera, -dp * late[:, None] * own, unit)]
+    return np.asarray(-dp * late[:, None] * own)
 
 
 def _velocity(network: Network, state: State, images: Integers) -> tuple[Floats | None, str]:
