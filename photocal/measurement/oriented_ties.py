@@ -44,8 +44,8 @@ FIRST_MISS_PX, USUAL_PX, LARGE_PX = 8.0, 4000.0, 8400.0
 _ROUNDS, _LESS = 6, 0.7
 # Patches that are matched are so wide; the errors of nearer neighbours were found to be alike by 0.1 to 0.4.
 PATCH_PX = 2.0 * HALF - 1.0
-# Bytes that a ray of a tie point takes in all that follows, most of them in the search for causes: measured
-# with 0.9 million rays of 308 pictures and 1.3 million of 1001.
+# Bytes that a ray of a tie point takes in what follows, beyond what the process has by then; most of them in
+# the search for causes. Measured with 0.9 million rays of 308 pictures and 1.3 million of 1001.
 OF_RAY = 1200.0
 # Sigmas of tie points come from their own residuals: they test nothing.
 ESTIMATED = Finding("sigmas-from-residuals", "note")
