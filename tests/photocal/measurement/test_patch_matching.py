@@ -190,7 +190,8 @@ def test_setup_compiles_what_the_matching_calls(tmp_path: Path, monkeypatch: pyt
     def told(*arguments: object) -> None:
         calls.append([str(typeof(one)) for one in arguments])  # type: ignore[no-untyped-call]
 
-    monkeypatch.setattr("photocal.measurement.compile.match_patches", told)
+    for module in ("compile", "patch_kernel"):
+        monkeypatch.setattr(f"photocal.measurement.{module}.match_patches", told)
     compile_kernels()
     views = _views(np.array([[-4.0, 0, 40], [4.0, 0, 40]]), np.zeros(2))
     exact = views.project(np.array([0, 1]), np.zeros((2, 3)))
