@@ -178,18 +178,24 @@ else:
                 left = min(left, _of_group(folder, _FIRST_GROUPS if controllers else _GROUPS))
         return left
 
-    # Files of a control group, with its limit and what is used of it; of the latter, caches that give way.
-    _GROUPS = ("memory.max", "memory.current", "inactive_file")
-    _FIRST_GROUPS = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
+    # Files of a control group, with its limit and what is used of it; of the latter, files that are cached,
+    # and those that programs run from, which do not give way.
+    _GROUPS = ("memory.max", "memory.current", "inactive_file", "active_file", "file_mapped")
+    _FIRST_GROUPS = (
+        "memory.limit_in_bytes",
+        "memory.usage_in_bytes",
+        *("total_inactive_file", "total_active_file", "total_mapped_file"),
+    )
 
-    def _of_group(folder: Path, names: tuple[str, str, str]) -> int:
+    def _of_group(folder: Path, names: tuple[str, ...]) -> int:
         """What one control group leaves; beyond all where it has no limit, or is not seen from here."""
         try:
             limit, used = (int((folder / name).read_text("ascii")) for name in names[:2])
             parts = dict(line.split() for line in (folder / "memory.stat").read_text("ascii").splitlines())
         except (OSError, ValueError):
             return sys.maxsize
-        return max(0, limit - used + int(parts.get(names[2], 0)))
+        idle, busy, mapped = (int(parts.get(name, 0)) for name in names[2:])
+        return max(0, limit - used + max(0, idle + busy - mapped))
 
 
 def private_folder(folder: Path) -> Path:

@@ -44,9 +44,9 @@ FIRST_MISS_PX, USUAL_PX, LARGE_PX = 8.0, 4000.0, 8400.0
 _ROUNDS, _LESS = 6, 0.7
 # Patches that are matched are so wide; the errors of nearer neighbours were found to be alike by 0.1 to 0.4.
 PATCH_PX = 2.0 * HALF - 1.0
-# Bytes that a ray of a tie point takes in what follows, beyond what the process has by then; most of them in
-# the search for causes. Measured with 0.9 million rays of 308 pictures and 1.3 million of 1001.
-OF_RAY = 1200.0
+# Bytes that a ray of a tie point takes at least in what follows, beyond what the process has by then: half of
+# what was measured with 0.9 million rays of 308 pictures and 1.3 million of 1001.
+OF_RAY = 600.0
 # Sigmas of tie points come from their own residuals: they test nothing.
 ESTIMATED = Finding("sigmas-from-residuals", "note")
 # Position and rotation of the block are unknown.
@@ -285,7 +285,7 @@ def _require_memory(rays: int) -> None:
     free, needed = available_memory(), OF_RAY * rays
     if free is not None and needed > free:
         raise ConfigurationError(
-            f"{rays} rays of tie points take about {needed / 1e9:.1f} GB of memory, "
+            f"{rays} rays of tie points take at least {needed / 1e9:.1f} GB of memory, "
             f"{free / 1e9:.1f} GB are free",
             "close other programs, take fewer pictures, or a computer with more memory; "
             "what was measured is kept",

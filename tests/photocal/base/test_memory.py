@@ -81,14 +81,16 @@ def test_memory_that_control_groups_leave(tmp_path: Path, first: bool) -> None:
 
     base = tmp_path / "memory" if first else tmp_path
     names = ("limit_in_bytes", "usage_in_bytes") if first else ("max", "current")
-    cached = "total_inactive_file" if first else "inactive_file"
+    kinds = ("total_inactive", "total_active", "total_mapped") if first else ("inactive", "active", "")
+    cached = [f"{kind}_file" if kind else "file_mapped" for kind in kinds]
 
-    def group(path: str, limit: object, used: int, inactive: int) -> None:
+    def group(path: str, limit: object, used: int, idle: int, busy: int = 0, mapped: int = 0) -> None:
         folder = base / path
         folder.mkdir(parents=True, exist_ok=True)
         for name, value in zip(names, (limit, used), strict=True):
             (folder / f"memory.{name}").write_text(f"{value}\n")
-        (folder / "memory.stat").write_text(f"cache 1\n{cached} {inactive}\n")
+        parts = zip(cached, (idle, busy, mapped), strict=True)
+        (folder / "memory.stat").write_text("".join(f"{name} {size}\n" for name, size in parts))
 
     told = tmp_path / "cgroup"
     told.write_text(f"9:name=systemd:/else\n{'4:cpu,memory' if first else '0:'}:/user/own\n")
@@ -100,6 +102,9 @@ def test_memory_that_control_groups_leave(tmp_path: Path, first: bool) -> None:
     assert _of_groups(told, tmp_path) == 3 * GIB
     group("", 3 * GIB, 2 * GIB, 0)
     assert _of_groups(told, tmp_path) == GIB
+    # Files that are read often give way, too; those that programs run from do not.
+    group("", 3 * GIB, 2 * GIB, GIB // 2, GIB // 2, GIB // 4)
+    assert _of_groups(told, tmp_path) == 7 * GIB // 4
     group("", 3 * GIB, 5 * GIB, 0)
     assert _of_groups(told, tmp_path) == 0
 
