@@ -169,7 +169,7 @@ def systematic_errors(
         these = candidates(given, table, against)
         done()
     accepted, search = _placed(search, search.chosen(alone), table, against)
-    # Candidates hold fields of all rays: those of the last search go before the next ones are made.
+    # What the candidates of a search hold of all rays goes before the next ones are made.
     del these
     last, errors, confirmed = given, list[SystematicError](), list[Cause]()
     total = dict[tuple[str, str], float]()

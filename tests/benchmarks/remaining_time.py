@@ -49,13 +49,15 @@ def told(project: Path) -> tuple[list[Told], float, float]:
         process = subprocess.Popen(
             command, env=given, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
         )
-        for line in process.stderr or ():
-            at_s = time.monotonic() - began
-            now = json.loads(line).get("progress") if line.startswith("{") else None
-            if now:
-                # While it starts it knows of no time.
-                left_s = math.nan if now["left_s"] is None else now["left_s"]
-                lines.append(Told(at_s, left_s, now["stage"], now["title"]))
+        assert process.stderr is not None
+        with process.stderr as said:
+            for line in said:
+                at_s = time.monotonic() - began
+                now = json.loads(line).get("progress") if line.startswith("{") else None
+                if now:
+                    # While it starts it knows of no time.
+                    left_s = math.nan if now["left_s"] is None else now["left_s"]
+                    lines.append(Told(at_s, left_s, now["stage"], now["title"]))
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
         if process.returncode:
