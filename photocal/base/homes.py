@@ -11,11 +11,10 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from typing import Any, Protocol, TypeVar
 
 from photocal.base.errors import ProgramMissingError
-from photocal.base.workers import Cluster, Workers, one_thread_each
+from photocal.base.workers import Cluster, Workers, one_thread_each, own_processes
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -83,7 +82,7 @@ class _OnProcesses:
     def _submit(self, function: Callable[[Task], Result], task: Task, place: int) -> Future[Result]:
         if place not in self.pools:
             with one_thread_each():
-                self.pools[place] = ProcessPoolExecutor(1, get_context("spawn"))
+                self.pools[place] = own_processes(1)
                 # Processes start with the first task.
                 self.pools[place].submit(os.getpid).result()
         return self.pools[place].submit(function, task)

@@ -10,8 +10,9 @@ from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from ipaddress import ip_address
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
+from threading import Thread
 from typing import Any, TypeVar
 
 from photocal.base.errors import ConfigurationError, DeviceError, PhotocalError, ProgramMissingError
@@ -68,13 +69,33 @@ def one_crew() -> Iterator[None]:
             pool.shutdown(cancel_futures=True)
 
 
+def own_processes(processes: int, prepare: Callable[[], None] | None = None) -> ProcessPoolExecutor:
+    """Give processes that end when this one does, however it ends; each prepares itself."""
+    return ProcessPoolExecutor(processes, get_context("spawn"), _begin, (prepare,))
+
+
+def _begin(prepare: Callable[[], None] | None) -> None:
+    """Begin a process that works for another."""
+    # One that is killed, for lack of memory as a rule, ends none: they would wait for work for ever.
+    Thread(target=_end_with_parent, daemon=True).start()
+    if prepare is not None:
+        prepare()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
 @contextmanager
 def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
     crew = _CREW.get()
     if crew is not None and processes in crew:
         yield crew[processes]
         return
-    pool = ProcessPoolExecutor(processes, get_context("spawn"), _prepare)
+    pool = own_processes(processes, _prepare)
     if crew is not None:
         crew[processes] = pool
         yield pool

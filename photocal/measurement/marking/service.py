@@ -1,9 +1,7 @@
 """What the page for marking asks and does."""
 
 import math
-from concurrent.futures import ProcessPoolExecutor
 from functools import lru_cache
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,6 +12,7 @@ from photocal.base.arrays import Floats
 from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError, InputNotFoundError
 from photocal.base.web import checked
+from photocal.base.workers import own_processes
 from photocal.block.model import ROLES
 from photocal.exchange.parts import Mark
 from photocal.measurement.image_file import Grey, read_grey
@@ -216,7 +215,7 @@ class MarkingService:
             raise ConfigurationError(
                 "the camera is not known", "open a project with [[camera]], or give --run"
             )
-        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        with own_processes(1) as pool:
             adjusted = pool.submit(adjust_marks, scene.orientation, scene.points, marks).result()
         self._adjusted, self._adjusted_marks = adjusted, {(m.image, m.point): (m.x, m.y) for m in marks}
         return self.state() | {"left_out": list(adjusted.left_out)}
