@@ -1,6 +1,6 @@
 """Features of a set of images, matched and joined to tracks: cached, on several processes."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -53,13 +53,24 @@ class MatchingPlan:
     coded: tuple[str, ...] = ()
 
 
+# A picture, and the key that its features are kept by.
+_Picture = tuple[Path, str, MatchingPlan]
+
+
 def detect_all(
-    paths: Sequence[Path], plan: MatchingPlan, done: Callable[[float], None]
+    paths: Sequence[Path], plan: MatchingPlan, progress: Progress
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Detect the features of all images into the cache; give their keys, and why an image cannot be used."""
-    images = ((path, combined_key(FEATURES, digest(path), plan.features), plan) for path in paths)
-    detected = list(run_tasks(_detect_one, images, plan.processes, done, _at_hand))
-    return tuple(key for key, _ in detected), tuple(reason for _, reason in detected)
+    images = list(_images(paths, plan))
+    wanted = [image for image in images if not _at_hand(image)]
+    title = "detecting features and coded targets" if plan.coded else "detecting features"
+    with progress(title, len(wanted) or None) as done:
+        whys = list(run_tasks(_detect_one, wanted, plan.processes, done))
+    reasons = {path: why for (path, *_), why in zip(wanted, whys, strict=True)}
+    unusable = [reasons.get(path, "") for path in paths]
+    return tuple("" if why else key for why, (_, key, _) in zip(unusable, images, strict=True)), tuple(
+        unusable
+    )
 
 
 def same_pictures(keys: Mapping[int, str], plan: MatchingPlan) -> dict[int, int]:
@@ -120,13 +131,19 @@ def match_where_needed(
     return tracks, _counts(matches)
 
 
-def _at_hand(image: tuple[Path, str, MatchingPlan]) -> bool:
+def _images(paths: Iterable[Path], plan: MatchingPlan) -> Iterator[_Picture]:
+    for path in paths:
+        yield path, combined_key(FEATURES, digest(path), plan.features), plan
+
+
+def _at_hand(image: _Picture) -> bool:
     path, key, plan = image
     source = ImageSource(path, key, plan.cache)
     return kept(plan.cache, key) and all(coded_targets_kept(source, codes) for codes in plan.coded)
 
 
-def _detect_one(image: tuple[Path, str, MatchingPlan]) -> tuple[str, str]:
+def _detect_one(image: _Picture) -> str:
+    """Detect the features of a picture into the cache; why it cannot be used, if it cannot."""
     path, key, plan = image
     # Decoded once, and only where something is made of it.
     picture = cache(partial(read_grey, path))
@@ -142,8 +159,8 @@ def _detect_one(image: tuple[Path, str, MatchingPlan]) -> tuple[str, str]:
     except PhotocalError as refusal:
         if refusal.where != str(path):
             raise
-        return "", refusal.what
-    return key, ""
+        return refusal.what
+    return ""
 
 
 def features_of(path: Path, plan: MatchingPlan) -> tuple[str, Features] | None:
@@ -154,11 +171,12 @@ def features_of(path: Path, plan: MatchingPlan) -> tuple[str, Features] | None:
     raises OSError: when the file cannot be opened.
     """
     try:
-        key, reason = _detect_one((path, combined_key(FEATURES, digest(path), plan.features), plan))
+        (image,) = _images([path], plan)
+        reason = _detect_one(image)
     except OutputError:
         # Few pictures are examined: without a cache that costs seconds.
         return "", detect(as_eight_bit(read_grey(path)), plan.features)
-    return None if reason else (key, _features(plan, key, whole=True))
+    return None if reason else (image[1], _features(plan, image[1], whole=True))
 
 
 def matches_of(first: tuple[str, Features], second: tuple[str, Features], plan: MatchingPlan) -> Integers:
@@ -256,11 +274,7 @@ def track_images(
     """
     pictures, left_out = each_picture(paths, lambda path: (path, read_facts(path)))
     readable = [path for path, _ in pictures]
-    count = len(readable)
-    features = progress("detecting features", count)
-    detecting = progress("detecting features and coded targets", count) if plan.coded else features
-    with detecting as done:
-        keys, reasons = detect_all(readable, plan, done)
+    keys, reasons = detect_all(readable, plan, progress)
     good = [k for k, reason in enumerate(reasons) if not reason]
     left_out += [left_out_entry(readable[k].name, why, "unreadable") for k, why in enumerate(reasons) if why]
     # Marks name the original, not "copy of" it, nor it with "(1)" behind.

@@ -148,7 +148,11 @@ def run_project(
     coded = bool(control.coded_targets)
     needed = {FEATURES: not coded, CODED: coded, PLAIN: control.plain_targets, CONTROL: control.points}
     pieces = usual_pieces(size, [title for title, given in needed.items() if not given])
-    course = Course(expected(last, last, size, pieces), progress, seen_s=sum(last.values()), pieces=pieces)
+    # Of a run that was ended some pictures are kept.
+    counted, seen_s = dict.fromkeys((FEATURES, CODED), size[0]), sum(last.values())
+    course = Course(
+        expected(last, last, size, pieces), progress, seen_s=seen_s, pieces=pieces, counted=counted
+    )
     told, piece = into(project.output / PROGRESS), _giving_back(course.progress)
     with alone(project.output), bar() as show, followed(course.standing, told, show):
         digests = Digests(project.output / MEMORY, again=rehash)

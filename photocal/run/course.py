@@ -117,11 +117,15 @@ class Course:
         clock: Callable[[], float] = time.monotonic,
         seen_s: float = 0.0,
         pieces: Pieces = MappingProxyType({}),
+        counted: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
-        """Begin; `seen_s` of what is expected is what a run before took, by `pieces` a stage is divided."""
+        """Begin; `seen_s` of what is expected is what a run before took, by `pieces` a stage is divided.
+
+        counted: of pieces of work that may be done in part before they begin, how much the whole is.
+        """
         self._ahead, self._progress, self._clock = dict(expected_s), progress, clock
         self._began = self._stage_began = self._piece_began = clock()
-        self._pieces = pieces
+        self._pieces, self._counted = pieces, counted
         self._stage, self._title, self._expected = "", "", 0.0
         # Of the stage at work: what is expected of its pieces that have not ended, when the last one ended,
         # and what those that have ended took and were expected to take.
@@ -165,7 +169,8 @@ class Course:
         """Show the progress of a piece of work of the stage."""
         self._title, self._piece_began = title, self._clock()
         self._done, self._total = 0.0, total or math.nan
-
+        if total and title in self._counted and title in self._open:
+            self._open[title] *= min(1.0, total / self._counted[title])
         with self._progress(title, total) as tell:
 
             def advance(amount: float) -> None:

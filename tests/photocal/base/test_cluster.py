@@ -7,7 +7,8 @@ import os
 import signal
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,12 @@ def tracks(
     pictures: tuple[Path, ...], cache: Path, workers: Workers, done: Callable[[float], None] = lambda _: None
 ) -> Tracks:
     plan = MatchingPlan(cache, workers, FEATURES)
-    keys, reasons = detect_all(pictures, plan, done)
+
+    @contextmanager
+    def progress(*_: object) -> Iterator[Callable[[float], None]]:
+        yield done
+
+    keys, reasons = detect_all(pictures, plan, progress)
     assert reasons == ("",) * len(pictures)
     pairs = np.array([(a, b) for a in range(len(keys)) for b in range(a)], dtype=np.int64)
     return match_all(keys, pairs, plan, done)[0]

@@ -18,12 +18,13 @@ DETECTED = """
 import sys
 from pathlib import Path
 from photocal.base.operating_system import available_memory
+from photocal.base.progress import quiet
 from photocal.measurement.match_images import MatchingPlan, detect_all
 
 if __name__ == "__main__":
     plan = MatchingPlan(Path(sys.argv[1]))
     assert 0 < available_memory() < 4 << 30, available_memory()
-    keys, reasons = detect_all([Path(path) for path in sys.argv[2:]], plan, lambda _: None)
+    keys, reasons = detect_all([Path(path) for path in sys.argv[2:]], plan, quiet)
     print(plan.processes, len(keys), set(reasons))
 """
 

@@ -327,7 +327,7 @@ def test_two_workers_give_the_tracks_of_one(tmp_path: Path) -> None:
     results = []
     for processes in (1, 2):
         plan = MatchingPlan(tmp_path / f"cache{processes}", processes, FeatureSettings(most=800))
-        keys, reasons = detect_all([*paths, tmp_path / "bad.png"], plan, lambda _: None)
+        keys, reasons = detect_all([*paths, tmp_path / "bad.png"], plan, quiet)
         assert reasons == ("", "", "", "is not an image")
         pairs = np.array([[0, 1], [0, 2], [1, 2]])
         results.append(match_all(keys[:3], pairs, plan, lambda _: None)[0])
@@ -343,7 +343,7 @@ def test_what_tracks_join_already_is_not_matched_again(tmp_path: Path) -> None:
     for k, path in enumerate(paths):
         Image.fromarray(texture[:size, k * step : k * step + size]).save(path)
     plan = MatchingPlan(tmp_path / "cache", 1, FeatureSettings(most=3000))
-    keys, _ = detect_all(paths, plan, lambda _: None)
+    keys, _ = detect_all(paths, plan, quiet)
     pairs = np.column_stack(np.triu_indices(6, 1)).astype(np.int64)
     apart = np.diff(pairs, axis=1).ravel()
     whole, of_all = match_all(keys, pairs, plan, lambda _: None)
@@ -408,7 +408,7 @@ def test_a_picture_that_was_saved_twice_is_no_second_observation(tmp_path: Path)
         # The copy of another program has other tags, and is another file.
         Image.fromarray(grey).save(path, compress_level=9 if path.stem == "of 1" else 6)
     plan = MatchingPlan(tmp_path / "cache", 1, FeatureSettings(most=800))
-    keys, _ = detect_all(paths, plan, lambda _: None)
+    keys, _ = detect_all(paths, plan, quiet)
     assert same_pictures(dict(enumerate(keys)), plan) == {0: 0, 1: 0, 2: 2, 3: 0, 4: 4, 5: 5}
 
 

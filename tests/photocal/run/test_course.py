@@ -169,6 +169,24 @@ def with_features(seconds: float) -> tuple[Clock, Course]:
     return clock, course
 
 
+@pytest.mark.parametrize("kept", [0, 9, 20])
+def test_features_that_an_ended_run_left_are_not_counted_again(kept: int) -> None:
+    """A run that is begun again has less before it, and learns the pace from what it does itself."""
+    clock, pictures, pace = Clock(), 30, 2.0
+    counted = {PIECES[0]: float(pictures)}
+    course = Course({"measurements": 100.0}, quiet, clock, pieces=USUAL, counted=counted)
+    course.begin("measurements")
+    share_of = {
+        name: seconds / sum(USUAL["measurements"].values()) for name, seconds in USUAL["measurements"].items()
+    }
+    with course.progress(PIECES[0], pictures - kept) as done:
+        clock.now += pace * 100.0 * share_of[PIECES[0]] * (1 - kept / pictures)
+        done(pictures - kept)
+    left_s = pace * 100.0 * (1.0 - share_of[PIECES[0]])
+    # What is seen of the pace counts against a tenth of the stage as expected.
+    assert 0.7 * left_s < course.standing().left_s < 1.1 * left_s
+
+
 def test_what_the_cameras_took_tells_of_stages_that_adjust_them_again() -> None:
     """As far as these are to be made, and while the cameras are adjusted, by the steps that are done."""
     clock = Clock()
