@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import sys
 import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -13,6 +14,7 @@ from ipaddress import ip_address
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from threading import Thread
+from types import ModuleType
 from typing import Any, TypeVar
 
 from photocal.base.errors import ConfigurationError, DeviceError, PhotocalError, ProgramMissingError
@@ -69,9 +71,25 @@ def one_crew() -> Iterator[None]:
             pool.shutdown(cancel_futures=True)
 
 
+class _Processes(ProcessPoolExecutor):
+    """Processes that do not run the script again which gives them work, guarded by its name or not."""
+
+    def submit(self, function: Callable[..., Result], /, *args: Any, **keys: Any) -> Future[Result]:
+        """Give work to a process, which may begin now: what it is to run is what stands as main here."""
+        script = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")
+        try:
+            return super().submit(function, *args, **keys)
+        finally:
+            sys.modules["__main__"] = script
+
+
 def own_processes(processes: int, prepare: Callable[[], None] | None = None) -> ProcessPoolExecutor:
-    """Give processes that end when this one does, however it ends; each prepares itself."""
-    return ProcessPoolExecutor(processes, get_context("spawn"), _begin, (prepare,))
+    """Give processes that end when this one does, however it ends; each prepares itself.
+
+    They do work of modules, and know nothing of the script that was started.
+    """
+    return _Processes(processes, get_context("spawn"), _begin, (prepare,))
 
 
 def _begin(prepare: Callable[[], None] | None) -> None:

@@ -1,4 +1,4 @@
-"""Processes that work for another one end with it, also when it is killed."""
+"""Processes that work for a script: they end with it, also when it is killed, and do not run it again."""
 
 from __future__ import annotations
 
@@ -11,30 +11,34 @@ from pathlib import Path
 
 import pytest
 
-# It tells the numbers of its workers, which then wait for more, until it is killed.
-WORKING = """
+WORK = """
 import os
 import time
-from photocal.base.workers import one_crew, run_tasks
 
 
 def number(_):
     time.sleep(0.5)
     return os.getpid()
+"""
+# It tells the numbers of its workers, which then wait for more. As in most scripts, nothing in it keeps each of
+# them from running it again.
+SCRIPT = """
+import time
+from photocal.base.workers import one_crew, run_tasks
+from work import number
 
-
-if __name__ == "__main__":
-    with one_crew():
-        print(*set(run_tasks(number, range(4), 2)), flush=True)
-        time.sleep(600)
+with one_crew():
+    print(*set(run_tasks(number, range(4), 2)), flush=True)
+    time.sleep(600)
 """
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the processes of Linux")
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
 def test_workers_end_with_the_process_that_is_killed(tmp_path: Path, how: signal.Signals) -> None:
-    script = tmp_path / "working.py"
-    script.write_text(WORKING)
+    (tmp_path / "work.py").write_text(WORK)
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
     with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         workers = [int(number) for number in process.stdout.readline().split()]
