@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from ipaddress import ip_address
 from multiprocessing import get_context, parent_process
 from pathlib import Path
-from threading import Thread
+from threading import Lock, Thread
 from types import ModuleType
 from typing import Any, TypeVar
 
@@ -25,6 +25,7 @@ Result = TypeVar("Result")
 
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _CREW: ContextVar[dict[int, ProcessPoolExecutor] | None] = ContextVar("crew", default=None)
+_STARTING = Lock()
 _TIMEOUT_S = 10
 _UNPROTECTED = "unprotected+"
 
@@ -72,16 +73,17 @@ def one_crew() -> Iterator[None]:
 
 
 class _Processes(ProcessPoolExecutor):
-    """Processes that do not run the script again which gives them work, guarded by its name or not."""
+    """Processes that do not run the script again that started them: it may have no guard against that."""
 
     def submit(self, function: Callable[..., Result], /, *args: Any, **keys: Any) -> Future[Result]:
-        """Give work to a process, which may begin now: what it is to run is what stands as main here."""
-        script = sys.modules["__main__"]
-        sys.modules["__main__"] = ModuleType("__main__")
-        try:
-            return super().submit(function, *args, **keys)
-        finally:
-            sys.modules["__main__"] = script
+        """Give work to a process; one that begins now runs what stands as main here."""
+        with _STARTING:
+            script = sys.modules["__main__"]
+            sys.modules["__main__"] = ModuleType("__main__")
+            try:
+                return super().submit(function, *args, **keys)
+            finally:
+                sys.modules["__main__"] = script
 
 
 def own_processes(processes: int, prepare: Callable[[], None] | None = None) -> ProcessPoolExecutor:

@@ -62,15 +62,14 @@ def detect_all(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Detect the features of all images into the cache; give their keys, and why an image cannot be used."""
     images = list(_images(paths, plan))
+    # The bar counts what is left of a run that was ended.
     wanted = [image for image in images if not _at_hand(image)]
     title = "detecting features and coded targets" if plan.coded else "detecting features"
     with progress(title, len(wanted) or None) as done:
         whys = list(run_tasks(_detect_one, wanted, plan.processes, done))
-    reasons = {path: why for (path, *_), why in zip(wanted, whys, strict=True)}
-    unusable = [reasons.get(path, "") for path in paths]
-    return tuple("" if why else key for why, (_, key, _) in zip(unusable, images, strict=True)), tuple(
-        unusable
-    )
+    reasons = {path: why for (path, *_), why in zip(wanted, whys, strict=True) if why}
+    keys = tuple("" if path in reasons else key for path, key, _ in images)
+    return keys, tuple(reasons.get(path, "") for path in paths)
 
 
 def same_pictures(keys: Mapping[int, str], plan: MatchingPlan) -> dict[int, int]:

@@ -38,9 +38,26 @@ class Told:
     title: str
 
 
+def peak_mib(process: int) -> float:
+    """Peak memory so far of the largest of a process and those that it has begun, MiB.
+
+    What a process that has ended tells (`wait4`) is no less than what its parent took when it began.
+    """
+    peak = 0.0
+    for status in Path("/proc").glob("[0-9]*/status"):
+        try:
+            said = dict(line.split(":", 1) for line in status.read_text(encoding="ascii").splitlines())
+        except (OSError, ValueError):
+            # It has ended meanwhile.
+            continue
+        if process in (int(said["Pid"]), int(said["PPid"])) and "VmHWM" in said:
+            peak = max(peak, float(said["VmHWM"].split()[0]) / 1024)
+    return peak
+
+
 def told(project: Path) -> tuple[list[Told], float, float]:
     """Run a project; give what was told, seconds of the whole run, and its peak, MiB."""
-    lines = []
+    lines, peak = [], 0.0
     with tempfile.TemporaryDirectory() as cache:
         given = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
         given["XDG_CACHE_HOME"] = cache
@@ -52,18 +69,16 @@ def told(project: Path) -> tuple[list[Told], float, float]:
         assert process.stderr is not None
         with process.stderr as said:
             for line in said:
-                at_s = time.monotonic() - began
+                at_s, peak = time.monotonic() - began, max(peak, peak_mib(process.pid))
                 now = json.loads(line).get("progress") if line.startswith("{") else None
                 if now:
                     # While it starts it knows of no time.
                     left_s = math.nan if now["left_s"] is None else now["left_s"]
                     lines.append(Told(at_s, left_s, now["stage"], now["title"]))
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        if process.returncode:
+        if process.wait():
             raise SystemExit(f"{project}: the run ended with {process.returncode}")
         whole = time.monotonic() - began
-    return lines, whole, usage.ru_maxrss / 1024
+    return lines, whole, peak
 
 
 def row(name: str, lines: list[Told], whole: float, peak: float) -> str:

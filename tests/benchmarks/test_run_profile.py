@@ -19,6 +19,7 @@ import pytest
 
 from photocal.block.project import read_project
 from photocal.run.campaign import stages
+from tests.benchmarks.remaining_time import peak_mib
 from tests.benchmarks.test_engine_speed import RESULTS, ROOT
 
 PICTURES = [int(size) for size in os.environ.get("PHOTOCAL_BENCH_PICTURES", "40").split()]
@@ -37,11 +38,12 @@ def photocal(compiled: Path, *arguments: str) -> tuple[float, float]:
     given["PYTHONPYCACHEPREFIX"] = str(compiled)
     command = [sys.executable, "-m", "photocal", *arguments]
     began = time.perf_counter()
-    process = subprocess.Popen(command, cwd=ROOT, env=given, stdout=subprocess.DEVNULL)
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    assert status == 0, arguments
-    return time.perf_counter() - began, usage.ru_maxrss / 1024
+    process, peak = subprocess.Popen(command, cwd=ROOT, env=given, stdout=subprocess.DEVNULL), 0.0
+    while process.poll() is None:
+        peak = max(peak, peak_mib(process.pid))
+        time.sleep(0.1)
+    assert process.returncode == 0, arguments
+    return time.perf_counter() - began, peak
 
 
 def fly(pictures: int, folder: Path) -> Path:

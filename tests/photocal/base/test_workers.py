@@ -20,8 +20,8 @@ def number(_):
     time.sleep(0.5)
     return os.getpid()
 """
-# It tells the numbers of its workers, which then wait for more. As in most scripts, nothing in it keeps each of
-# them from running it again.
+# It tells the numbers of its workers, which then wait for more. As in most scripts, nothing in it keeps them
+# from running it again.
 SCRIPT = """
 import time
 from photocal.base.workers import one_crew, run_tasks
