@@ -1,6 +1,6 @@
 """Features of a set of images, matched and joined to tracks: cached, on several processes."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -61,7 +61,7 @@ def detect_all(
     paths: Sequence[Path], plan: MatchingPlan, progress: Progress
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Detect the features of all images into the cache; give their keys, and why an image cannot be used."""
-    images = list(_images(paths, plan))
+    images = [_picture(path, plan) for path in paths]
     # The bar counts what is left of a run that was ended.
     wanted = [image for image in images if not _at_hand(image)]
     title = "detecting features and coded targets" if plan.coded else "detecting features"
@@ -130,9 +130,8 @@ def match_where_needed(
     return tracks, _counts(matches)
 
 
-def _images(paths: Iterable[Path], plan: MatchingPlan) -> Iterator[_Picture]:
-    for path in paths:
-        yield path, combined_key(FEATURES, digest(path), plan.features), plan
+def _picture(path: Path, plan: MatchingPlan) -> _Picture:
+    return path, combined_key(FEATURES, digest(path), plan.features), plan
 
 
 def _at_hand(image: _Picture) -> bool:
@@ -170,12 +169,12 @@ def features_of(path: Path, plan: MatchingPlan) -> tuple[str, Features] | None:
     raises OSError: when the file cannot be opened.
     """
     try:
-        (image,) = _images([path], plan)
+        _, key, _ = image = _picture(path, plan)
         reason = _detect_one(image)
     except OutputError:
         # Few pictures are examined: without a cache that costs seconds.
         return "", detect(as_eight_bit(read_grey(path)), plan.features)
-    return None if reason else (image[1], _features(plan, image[1], whole=True))
+    return None if reason else (key, _features(plan, key, whole=True))
 
 
 def matches_of(first: tuple[str, Features], second: tuple[str, Features], plan: MatchingPlan) -> Integers:

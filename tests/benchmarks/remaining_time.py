@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+from tests.processes import memory_mib
+
 PARTS = (1 / 3, 1 / 2, 2 / 3)
 # From a third of the way on the remaining time must be right; a last second cannot be.
 FROM, SHORT_S = 1 / 3, 2.0
@@ -38,23 +40,6 @@ class Told:
     title: str
 
 
-def peak_mib(process: int) -> float:
-    """Peak memory so far of the largest of a process and those that it has begun, MiB.
-
-    What a process that has ended tells (`wait4`) is no less than what its parent took when it began.
-    """
-    peak = 0.0
-    for status in Path("/proc").glob("[0-9]*/status"):
-        try:
-            said = dict(line.split(":", 1) for line in status.read_text(encoding="ascii").splitlines())
-        except (OSError, ValueError):
-            # It has ended meanwhile.
-            continue
-        if process in (int(said["Pid"]), int(said["PPid"])) and "VmHWM" in said:
-            peak = max(peak, float(said["VmHWM"].split()[0]) / 1024)
-    return peak
-
-
 def told(project: Path) -> tuple[list[Told], float, float]:
     """Run a project; give what was told, seconds of the whole run, and its peak, MiB."""
     lines, peak = [], 0.0
@@ -69,7 +54,7 @@ def told(project: Path) -> tuple[list[Told], float, float]:
         assert process.stderr is not None
         with process.stderr as said:
             for line in said:
-                at_s, peak = time.monotonic() - began, max(peak, peak_mib(process.pid))
+                at_s, peak = time.monotonic() - began, max([peak, *memory_mib(process.pid, "VmHWM")])
                 now = json.loads(line).get("progress") if line.startswith("{") else None
                 if now:
                     # While it starts it knows of no time.

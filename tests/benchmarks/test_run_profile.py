@@ -19,8 +19,8 @@ import pytest
 
 from photocal.block.project import read_project
 from photocal.run.campaign import stages
-from tests.benchmarks.remaining_time import peak_mib
 from tests.benchmarks.test_engine_speed import RESULTS, ROOT
+from tests.processes import memory_mib
 
 PICTURES = [int(size) for size in os.environ.get("PHOTOCAL_BENCH_PICTURES", "40").split()]
 # Of the flight that is known as "survey", on 70 m by 67 m.
@@ -40,7 +40,7 @@ def photocal(compiled: Path, *arguments: str) -> tuple[float, float]:
     began = time.perf_counter()
     process, peak = subprocess.Popen(command, cwd=ROOT, env=given, stdout=subprocess.DEVNULL), 0.0
     while process.poll() is None:
-        peak = max(peak, peak_mib(process.pid))
+        peak = max([peak, *memory_mib(process.pid, "VmHWM")])
         time.sleep(0.1)
     assert process.returncode == 0, arguments
     return time.perf_counter() - began, peak

@@ -30,6 +30,7 @@ from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import list_images
 from tests.acquire.live import Recorder, frames_in, free_port, is_bound, until
 from tests.evidence.flood import send_numbered
+from tests.processes import memory_mib
 
 EVERY_S, MOST = 2.0, 60
 OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "live.md"
@@ -109,7 +110,7 @@ def study(sent: Sequence[Path], folder: Path) -> dict[str, str]:
         def seen() -> dict[str, Any]:
             content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
             lags.append(float(content["live"]["lag_s"]))
-            memory.append(_memory_mib(live.pid))
+            memory.append(sum(memory_mib(live.pid, "VmRSS")))
             waiting.append(int(content["live"]["waiting"]))
             return content
 
@@ -151,20 +152,6 @@ def study(sent: Sequence[Path], folder: Path) -> dict[str, str]:
         "peak memory": f"{max(usage.ru_maxrss / 1024, *memory):.0f} MiB",
         "load of the machine (1 min)": f"{os.getloadavg()[0]:.1f}",
     }
-
-
-def _memory_mib(process: int) -> float:
-    """Resident memory of a process and of those that it has begun, MiB."""
-    total = 0.0
-    for status in Path("/proc").glob("[0-9]*/status"):
-        try:
-            told = dict(line.split(":", 1) for line in status.read_text(encoding="ascii").splitlines())
-        except (OSError, ValueError):
-            # It has ended meanwhile.
-            continue
-        if process in (int(told["Pid"]), int(told["PPid"])) and "VmRSS" in told:
-            total += float(told["VmRSS"].split()[0]) / 1024
-    return total
 
 
 if __name__ == "__main__":

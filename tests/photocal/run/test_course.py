@@ -183,8 +183,8 @@ def test_features_that_an_ended_run_left_are_not_counted_again(kept: int) -> Non
         clock.now += pace * 100.0 * share_of[PIECES[0]] * (1 - kept / pictures)
         done(pictures - kept)
     left_s = pace * 100.0 * (1.0 - share_of[PIECES[0]])
-    # What is seen of the pace counts against a tenth of the stage as expected.
-    assert 0.7 * left_s < course.standing().left_s < 1.1 * left_s
+    # Remaining times are to be right within 30 %.
+    assert 0.7 * left_s < course.standing().left_s < 1.3 * left_s
 
 
 def test_what_the_cameras_took_tells_of_stages_that_adjust_them_again() -> None:
